@@ -1,0 +1,1 @@
+"""Displacement, strain and beat metrics from movies of cardiac microbundles."""
