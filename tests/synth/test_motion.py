@@ -50,7 +50,7 @@ def test_tissue_rests_exactly_between_beats():
     rhythm = Rhythm(80, 24.0, first_beat=0.3)
     motion = tissue(rhythm=rhythm, delay_frames=2.0)
     points = np.random.default_rng(0).uniform(0, 250, (300, 2))
-    # Points are activated up to 2 frames late and the inclusion 0.5 later still; past the pillars a little more or less.
+    # Points are activated up to 2 frames late and the inclusion 0.5 later still; past the pillars even more or less.
     late = [t for t in range(5, 78) if rhythm.resting[t - 5:t + 3].all()]
     assert len(late) >= 8
     for t in late:

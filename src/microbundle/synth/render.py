@@ -3,9 +3,9 @@
 Every pixel x of frame t shows the material point X with X + u(X, t) = x. `invert` finds it by Newton's method on the
 motion's own displacement and deformation gradient, and the texture is sampled there; nothing is warped twice, and no
 pixel is moved by an approximate field, so the motion itself is the truth (METHODS.md, section 4). Where the motion is
-smooth, X - x is solved on a coarse grid and carried to the pixels by quintic interpolation; the grid is halved until
-points between its nodes agree to `tolerance_px`, in the end to the pixels themselves. Frames are rendered when they
-are asked for, and come out the same in any order.
+smooth, X - x is solved on a coarse grid and carried to the pixels by quintic interpolation; wherever that is off by
+more than `tolerance_px`, the grid is halved, in the end to the pixels themselves. Frames are rendered when they are
+asked for, and come out the same in any order.
 
 The tissue lies on ground that stays where it is: `Tapered` fades the displacement in a band around the tissue, and
 leaves it untouched within.
@@ -25,7 +25,7 @@ from typing import Literal
 import numpy as np
 from scipy import interpolate, ndimage
 
-from ..data import Bools, Floats, Image, Movie
+from ..data import Bools, Floats, Image, Ints, Movie
 from ..errors import ConfigError
 from .motion import Composed, Inclusion, Motion, Rhythm, RigidMotion, TissueMotion
 from .noise import NoiseModel
@@ -33,7 +33,6 @@ from .texture import Texture, band_limited, procedural_tissue
 
 Ground = Literal["still", "moves"]
 
-_SOLVED_PX = 1e-9
 _MAX_STEPS = 40
 
 
@@ -48,7 +47,7 @@ class Tapered:
     mask: Bools
     """(R, C): what moves."""
     band_px: float = 24.0
-    """Width of the transition outside the mask. Keep it above three times the largest displacement, or the picture
+    """Width of the transition outside the mask. Keep it above five times the largest displacement, or the picture
     folds; `invert` then says so."""
 
     @property
@@ -58,41 +57,50 @@ class Tapered:
 
     def displacement_px(self, points_px: Floats, frame: int) -> Floats:
         """See `Motion.displacement_px`."""
-        return self.weight(points_px)[:, None] * self.motion.displacement_px(points_px, frame)
+        points_px = np.asarray(points_px, float)
+        w = self.weight(points_px)
+        u = np.zeros(points_px.shape)
+        u[w > 0] = w[w > 0, None] * self.motion.displacement_px(points_px[w > 0], frame)
+        return u
 
     def gradient(self, points_px: Floats, frame: int) -> Floats:
         """See `Motion.gradient`."""
         points_px = np.asarray(points_px, float)
-        w = self.weight(points_px)[:, None, None]
-        # A cubic spline's slope by central differences: off by 1e-7 at most, and exactly 0 inside, where w is 1.
+        w = self.weight(points_px)
+        F = np.broadcast_to(np.eye(2), (len(points_px), 2, 2)).copy()
+        F[w == 1] = self.motion.gradient(points_px[w == 1], frame)
+        band = (w > 0) & (w < 1)
+        X, w = points_px[band], w[band, None, None]
+        # A cubic spline's slope by central differences, off by 1e-7 at most.
         step = 1e-3
-        slope = np.stack([self.weight(points_px + d) - self.weight(points_px - d) for d in np.eye(2) * step], 1)
-        slope /= 2 * step
-        u = self.motion.displacement_px(points_px, frame)
-        return w * self.motion.gradient(points_px, frame) + (1 - w) * np.eye(2) + u[:, :, None] * slope[:, None, :]
+        slope = np.stack([self.weight(X + d) - self.weight(X - d) for d in np.eye(2) * step], axis=1) / (2 * step)
+        u = self.motion.displacement_px(X, frame)
+        F[band] = w * self.motion.gradient(X, frame) + (1 - w) * np.eye(2) + u[:, :, None] * slope[:, None, :]
+        return F
 
     def weight(self, points_px: Floats) -> Floats:
         """Share (N,) of the motion that acts at points (N, 2): 1 in the tissue, 0 beyond the band."""
-        return np.asarray(ndimage.map_coordinates(self._weights, np.asarray(points_px, float).T, order=3,
-                                                  mode="nearest", prefilter=False))
+        w = ndimage.map_coordinates(self._weights, np.asarray(points_px, float).T, order=3, mode="nearest",
+                                    prefilter=False)
+        # The spline's own rounding must not reach the truth inside.
+        return np.asarray(np.where(w > 1 - 1e-12, 1.0, np.where(w < 1e-12, 0.0, w)))
 
     @cached_property
     def _weights(self) -> Floats:
         # These are B-spline coefficients as they stand, not samples: the spline then stays between 0 and 1, and is
-        # exactly 1 wherever the 4 x 4 of them around a point are. Hence the mask is grown by 4 px and by the reach of
-        # the smoothing before it is smoothed.
-        radius = max(int(self.band_px) // 6, 1)
+        # exactly 1 wherever the 4 x 4 of them around a point are. Hence 1 is kept until 4 px outside the mask.
+        sigma = max(self.band_px - 4, 1.0) / 7
         solid = ndimage.binary_fill_holes(np.pad(self.mask, 1))[1:-1, 1:-1]
-        grown = ndimage.distance_transform_edt(~solid) <= 4 + 3 * radius * np.sqrt(2)
-        weights = grown.astype(float)
-        for _ in range(3):
-            weights = ndimage.uniform_filter(weights, 2 * radius + 1, mode="nearest")
-        weights[ndimage.distance_transform_edt(~solid) <= 4] = 1.0
-        return np.asarray(weights)
+        outside_px = ndimage.distance_transform_edt(~solid)
+        grown = (outside_px <= 4 + 3.5 * sigma).astype(float)
+        weights = ndimage.gaussian_filter(grown, sigma, mode="nearest", truncate=3.5)
+        weights[outside_px <= 4] = 1.0
+        return np.asarray(np.minimum(weights, 1.0))
 
 
-def invert(motion: Motion, places_px: Floats, frame: int, *, start_px: Floats | None = None) -> Floats:
-    """Find the material points X (N, 2) that a motion carries to given places x (N, 2) in a frame, to 1e-9 px.
+def invert(motion: Motion, places_px: Floats, frame: int, *, start_px: Floats | None = None,
+           tolerance_px: float = 1e-9) -> Floats:
+    """Find the material points X (N, 2) that a motion carries to given places x (N, 2) in a frame.
 
     Raises ConfigError where there is no such point, because the motion folds the picture over itself.
     """
@@ -101,7 +109,7 @@ def invert(motion: Motion, places_px: Floats, frame: int, *, start_px: Floats | 
     open_ = np.arange(len(x))
     for _ in range(_MAX_STEPS):
         missing = x[open_] - X[open_] - motion.displacement_px(X[open_], frame)
-        left = np.abs(missing).max(axis=1) > _SOLVED_PX
+        left = np.abs(missing).max(axis=1) > tolerance_px
         open_, missing = open_[left], missing[left]
         if not len(open_):
             return X
@@ -118,30 +126,59 @@ def invert(motion: Motion, places_px: Floats, frame: int, *, start_px: Floats | 
                       "it smaller or smoother, or widen the band between tissue and still ground.")
 
 
-def material_points(motion: Motion, shape: tuple[int, int], frame: int, tolerance_px: float = 2e-5) -> Floats:
-    """Find the material point that each pixel of a frame shows, (R, C, 2), to about `tolerance_px`."""
-    pixels = np.stack(np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij"), axis=-1).astype(float)
-    if tolerance_px > 0:
-        for spacing in (16, 8, 4):
-            if min(shape) < 8 * spacing:
-                continue
-            nodes = tuple(np.arange(-2.0 * spacing, n + 2 * spacing, spacing) for n in shape)
-            grid = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1)
-            moved = (invert(motion, grid.reshape(-1, 2), frame) - grid.reshape(-1, 2)).reshape(grid.shape)
-            # Quintic interpolation is at its worst in the middle of a cell: compare it there with the motion itself.
-            between = tuple(0.5 * (n[2:-3] + n[3:-2]) for n in nodes)
-            guess = _carry(moved, nodes, between) + np.stack(np.meshgrid(*between, indexing="ij"), axis=-1)
-            places = np.stack(np.meshgrid(*between, indexing="ij"), axis=-1).reshape(-1, 2)
-            off = guess.reshape(-1, 2) + motion.displacement_px(guess.reshape(-1, 2), frame) - places
-            if np.abs(off).max() <= tolerance_px:
-                return pixels + _carry(moved, nodes, tuple(np.arange(float(n)) for n in shape))
-    return invert(motion, pixels.reshape(-1, 2), frame).reshape(pixels.shape)
+def material_points(motion: Motion, shape: tuple[int, int], frame: int, tolerance_px: float = 5e-5) -> Floats:
+    """Find the material point (R, C, 2) that each pixel of a frame shows, to `tolerance_px`; with 0, to 1e-9 px.
+
+    The motion must be defined some 40 px around the frame as well.
+    """
+    pixels = _places(*(np.arange(float(n)) for n in shape))
+    if tolerance_px <= 0:
+        return invert(motion, pixels.reshape(-1, 2), frame).reshape(pixels.shape)
+    spacing = 16
+    nodes = _nodes(shape, spacing)
+    places = _places(*nodes)
+    moved: Floats = invert(motion, places.reshape(-1, 2), frame).reshape(places.shape) - places
+    rough = np.ones(places.shape[:2], bool)
+    while spacing > 1:
+        spacing //= 2
+        finer = _nodes(shape, spacing)
+        places = _places(*finer)
+        moved = _carry(moved, nodes, finer)
+        # Where interpolation failed on the coarser grid, hold it against the motion at the new nodes, and solve those
+        # that are off. Half of the tolerance is left for the error between nodes that passed.
+        rough = rough[np.ix_(*(_nearest(n, f) for n, f in zip(nodes, finer, strict=True)))]
+        X = places[rough] + moved[rough]
+        off = np.abs(X + motion.displacement_px(X, frame) - places[rough]).max(axis=1) > 0.5 * tolerance_px
+        rough[rough] = off
+        moved[rough] = invert(motion, places[rough], frame, start_px=X[off],
+                              tolerance_px=0.1 * tolerance_px) - places[rough]
+        rough = ndimage.binary_dilation(rough, np.ones((3, 3), bool), iterations=2)
+        nodes = finer
+    return places + moved
+
+
+def _nodes(shape: tuple[int, int], spacing: int) -> tuple[Floats, Floats]:
+    """Rows and cols of a grid whose nodes are multiples of the spacing, two beyond each side of the picture."""
+    if spacing == 1:
+        return np.arange(float(shape[0])), np.arange(float(shape[1]))
+    rows, cols = (np.arange(-2, -(-n // spacing) + 3) * float(spacing) for n in shape)
+    return rows, cols
+
+
+def _nearest(nodes: Floats, places: Floats) -> Ints:
+    return np.asarray(np.rint((places - nodes[0]) / (nodes[1] - nodes[0])).astype(int))
+
+
+def _places(rows: Floats, cols: Floats) -> Floats:
+    """All points (R, C, 2) of a grid."""
+    return np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
 
 
 def _carry(values: Floats, nodes: tuple[Floats, ...], places: tuple[Floats, ...]) -> Floats:
     """Interpolate values (n, m, 2) on a grid to the grid of `places` by quintic splines along both sides."""
     rows, cols = (_spline_matrix(tuple(n), tuple(p)) for n, p in zip(nodes, places, strict=True))
-    return np.stack([rows @ values[..., k] @ cols.T for k in (0, 1)], axis=-1)
+    planes = [rows @ np.ascontiguousarray(values[..., k]) @ cols.T for k in (0, 1)]
+    return np.stack(planes, axis=-1)
 
 
 @lru_cache(maxsize=16)
@@ -159,6 +196,8 @@ class Truth:
     """(R, C): the tissue in its relaxed state."""
     fps: float
     um_per_px: float
+    rhythm: Rhythm | None = None
+    """Beats of the tissue, where the motion has a rhythm."""
     reference_frame: int = 0
     """Frame that `from_reference_px` counts displacement from."""
 
@@ -199,7 +238,7 @@ class Rendered:
     shape: tuple[int, int]
     noise: NoiseModel = field(default_factory=NoiseModel)
     how: Literal["exact", "paper"] = "exact"
-    tolerance_px: float = 2e-5
+    tolerance_px: float = 5e-5
 
     def __len__(self) -> int:
         return self.motion.count
@@ -242,7 +281,7 @@ class SyntheticMovie:
 def render_movie(texture: Texture, motion: Motion, mask: Bools, *, moving: Bools | None = None,
                  ground: Ground = "still", band_px: float = 24.0, stage: Motion | None = None,
                  noise: NoiseModel | None = None, fps: float = 30.0, um_per_px: float = 4.0, name: str = "synthetic",
-                 how: Literal["exact", "paper"] = "exact", pillars: tuple[Bools, ...] = ()) -> SyntheticMovie:
+                 how: Literal["exact", "paper"] = "exact") -> SyntheticMovie:
     """Put a texture into motion and get a movie with its truth; nothing is drawn before a frame is asked for.
 
     `mask` (R, C) is the tissue; `moving` is what moves with it, by default the tissue with its holes filled. With
@@ -251,6 +290,7 @@ def render_movie(texture: Texture, motion: Motion, mask: Bools, *, moving: Bools
     shape = (int(mask.shape[0]), int(mask.shape[1]))
     if not mask.any():
         raise ValueError("mask: expected some tissue, found none")
+    rhythm = motion.rhythm if isinstance(motion, TissueMotion) else None
     if ground == "still":
         motion = Tapered(motion, mask if moving is None else moving | mask, band_px)
     if stage is not None:
@@ -258,7 +298,7 @@ def render_movie(texture: Texture, motion: Motion, mask: Bools, *, moving: Bools
     frames = Rendered(texture, motion, shape, noise or NoiseModel(), how)
     movie = Movie(name=name, frames=frames, shape=shape, time_s=np.arange(motion.count) / fps, time_source="user",
                   um_per_px=um_per_px, um_per_px_source="user")
-    return SyntheticMovie(movie, Truth(motion, np.asarray(mask, bool), fps, um_per_px), frames, pillars)
+    return SyntheticMovie(movie, Truth(motion, np.asarray(mask, bool), fps, um_per_px, rhythm), frames)
 
 
 def beating_tissue(shape: tuple[int, int] = (256, 256), frames: int = 60, fps: float = 30.0, um_per_px: float = 4.0,
@@ -284,9 +324,9 @@ def beating_tissue(shape: tuple[int, int] = (256, 256), frames: int = 60, fps: f
     if noise is None:
         noise = NoiseModel(full_well_electrons=30_000, read_noise=0.001, flicker_gain=0.001, seed=seed)
     stage = RigidMotion.drift(rhythm.count, drift_px_per_frame) if any(drift_px_per_frame) else None
-    return render_movie(band_limited(picture.image), motion, picture.tissue, moving=picture.body, stage=stage,
-                        noise=noise, band_px=max(16.0, 5 * peak_px), fps=fps, um_per_px=um_per_px,
-                        name=f"demo_{seed}", pillars=picture.pillars)
+    made = render_movie(band_limited(picture.image), motion, picture.tissue, moving=picture.body, stage=stage,
+                        noise=noise, band_px=max(20.0, 6 * peak_px), fps=fps, um_per_px=um_per_px, name=f"demo_{seed}")
+    return replace(made, pillars=picture.pillars)
 
 
 def patchwork(image: Floats, motion: Motion, frame: int, *, tiles: int = 16, overlap_px: float = 2.0) -> Floats:

@@ -151,19 +151,22 @@ def procedural_tissue(shape: tuple[int, int] = (512, 512), seed: int = 0, *, ang
     s = (x * np.cos(a) + y * np.sin(a)) / unit
     n = (y * np.cos(a) - x * np.sin(a)) / unit
     # From here on lengths along s and n are those of a picture of 512 pixels.
-    pillar_s, waist, head = 198.0, 57.0, 97.0
+    pillar_s, waist, head = 180.0, 57.0, 95.0
 
-    half_width = _outline(s, waist, head, pillar_s) + 2.5 * _along(rng, s, 60.0)
+    # Each side of the outline has slow waves of its own.
+    half_width = _outline(s, waist, head, pillar_s) + np.where(n > 0, _wave(rng, s), _wave(rng, s))
     across = n / half_width
+    # Distance into the tissue; the end is a large rounded corner.
+    end = 242.0 - np.abs(s)
     depth = half_width - np.abs(n)
-    # Distance into the tissue, made right where the outline closes around the ends.
-    inside = np.minimum(depth, 252.0 - np.abs(s)) * unit
+    corner = np.hypot(np.clip(40 - depth, 0, None), np.clip(40 - end, 0, None))
+    inside = np.where(corner > 0, 40 - corner, np.minimum(depth, end)) * unit
     tissue_edge = _edge(inside, 0.9)
 
-    ground = 0.905 + 0.022 * _grain(rng, shape, 9 * unit, 3.0) + 0.008 * _grain(rng, shape, 1.0, 1.0)
+    ground = 0.905 + 0.016 * _grain(rng, shape, 7 * unit, 7 * unit)
+    ground += 0.009 * _grain(rng, shape, 1.2, 1.2) + 0.012 * _grain(rng, shape, 2.5, 2.5)
     ground += _debris(rng, shape, unit)
-    ground -= 0.05 * np.exp(-((inside + 4 * unit) / (3.0 * unit)) ** 2) - 0.03 * np.exp(-((inside + 12 * unit)
-                                                                                          / (5 * unit)) ** 2)
+    ground -= 0.05 * np.exp(-((inside / unit + 4) / 3) ** 2) + 0.03 * np.exp(-((inside / unit + 12) / 5) ** 2)
 
     body = 0.40 + contrast * _fibres(rng, shape, s * unit, across, unit)
     body += 0.05 * np.exp(-((np.abs(across) - 0.75) / 0.2) ** 2) - 0.10 * np.exp(-inside / (2.0 * unit)).clip(max=1)
@@ -173,7 +176,7 @@ def procedural_tissue(shape: tuple[int, int] = (512, 512), seed: int = 0, *, ang
         image = _channel(rng, image, n, unit)
     pillars = []
     for sign in (-1.0, 1.0):
-        image, cap = _pillar(rng, image, s - sign * pillar_s, n - 4 * rng.standard_normal(), unit)
+        image, cap = _pillar(rng, image, s - sign * pillar_s, n - 2 * rng.standard_normal(), unit)
         pillars.append(cap)
     image *= 1.0 - 0.06 * ((x / cols) ** 2 + (y / rows) ** 2) * 4 + 0.02 * x / cols
     image = ndimage.gaussian_filter(image, 0.45)
@@ -186,8 +189,8 @@ def _outline(s: Floats, waist: float, head: float, pillar_s: float) -> Floats:
     """Half of the tissue's width at a distance s from its centre: a waist, a head around each pillar, round ends."""
     t = np.clip(np.abs(s) / pillar_s, 0, 1)
     neck = waist + (head - waist) * t**3 * (10 - 15 * t + 6 * t**2)
-    past = np.clip((np.abs(s) - pillar_s) / 70.0, 0, 1)
-    return neck * np.sqrt(1 - 0.85 * past**2)
+    past = np.clip((np.abs(s) - pillar_s) / 80.0, 0, 1)
+    return np.asarray(neck * np.sqrt(1 - 0.7 * past**2))
 
 
 def _fibres(rng: np.random.Generator, shape: tuple[int, int], s: Floats, across: Floats, unit: float) -> Floats:
@@ -197,12 +200,12 @@ def _fibres(rng: np.random.Generator, shape: tuple[int, int], s: Floats, across:
     row = (across * 75 * unit) + width / 2
     col = s - s.min() + 32
     out: Floats = np.zeros(shape)
-    sizes = ((0.8, 2.2, 0.026), (1.3, 6.0, 0.030), (2.5, 14.0, 0.026), (6.0, 26.0, 0.03))
+    sizes = ((0.8, 2.2, 0.020), (1.3, 5.0, 0.028), (2.5, 10.0, 0.032), (5.0, 22.0, 0.026))
     for sigma_across, sigma_along, weight in sizes:
         streak = ndimage.gaussian_filter(rng.standard_normal((width, length)), (sigma_across, sigma_along))
         out += weight * ndimage.map_coordinates(streak / streak.std(), [row, col], order=3, mode="reflect")
-    out += 0.026 * _grain(rng, shape, 0.8, 0.9) + 0.022 * _grain(rng, shape, 1.6, 1.6)
-    out += 0.03 * _grain(rng, shape, 14 * unit, 14 * unit)
+    for size, weight in ((0.0, 0.004), (0.75, 0.028), (1.6, 0.022), (5.0, 0.016), (18 * unit, 0.032)):
+        out += weight * _grain(rng, shape, size, size)
     return out
 
 
@@ -211,8 +214,12 @@ def _pillar(rng: np.random.Generator, image: Floats, s: Floats, n: Floats, unit:
     r = np.hypot(s, n)
     # The shadow is a rounded square, as the pillar's head has corners; its rim fades into the tissue.
     square = (np.abs(s) ** 5 + np.abs(n) ** 5) ** 0.2
-    shadow = 1 / (1 + np.exp((square - 58.0) / 3.0))
-    image = image * (1 - shadow) + 0.05 * shadow
+    # It is softer on some sides than on others, because the pillar leans.
+    lean = rng.uniform(0, 2 * np.pi)
+    soft = 4.0 + 2.5 * np.cos(np.arctan2(n, s) - lean)
+    shadow = 1 / (1 + np.exp((square - 57.0) / soft))
+    wide = 0.2 * np.exp(-(((square - 57.0) / 22.0).clip(min=0)) ** 2) * (0.5 + 0.5 * np.cos(np.arctan2(n, s) - lean))
+    image = image * (1 - shadow) * (1 - wide) + 0.04 * shadow
     radius = 47.0
     cap = _edge((radius - r) * unit, 1.2)
     rings = 0.035 * np.cos(2 * np.pi * r / 9.0 + 1.5 * np.arctan2(n, s)) * (r / radius)
@@ -250,11 +257,10 @@ def _grain(rng: np.random.Generator, shape: tuple[int, int], sigma_row: float, s
     return np.asarray(grain / grain.std())
 
 
-def _along(rng: np.random.Generator, s: Floats, scale: float) -> Floats:
-    """A slow random wave of s, of about unit size."""
-    k = rng.uniform(0.5, 1.5, 4) / scale
-    p = rng.uniform(0, 2 * np.pi, 4)
-    return np.asarray(sum(np.sin(2 * np.pi * k_ * s / 3 + p_) for k_, p_ in zip(k, p, strict=True)) / 2)
+def _wave(rng: np.random.Generator, s: Floats) -> Floats:
+    """A slow random wave along the outline, of a few units."""
+    length, phase = rng.uniform(100, 400, 4), rng.uniform(0, 2 * np.pi, 4)
+    return np.asarray(sum(1.6 * np.sin(2 * np.pi * s / l + p) for l, p in zip(length, phase, strict=True)))
 
 
 def _edge(distance_px: Floats, width_px: float) -> Floats:
