@@ -1,1 +1,81 @@
-"""Displacement, strain and beat metrics from movies of cardiac microbundles."""
+"""Displacement, strain and beat metrics from movies of cardiac microbundles.
+
+    import microbundle
+    movie = microbundle.read_movie("my_movie", fps=30, um_per_px=4)
+    analysis = microbundle.analyze(movie)
+    microbundle.tables(analysis)["summary"]
+    analysis.displacement_at([[262, 254]])          # (T, 1, 2): row, col, in px
+    microbundle.save(analysis, "my_movie_microbundle")
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .analysis import Analysis
+    from .config import Config
+    from .data import Movie
+    from .errors import (
+        CalibrationMissing,
+        CannotMeasure,
+        ConfigError,
+        MaskUnusable,
+        MicrobundleError,
+        MovieUnreadable,
+        NoTexture,
+        NoTissue,
+        OutputError,
+        ResultUnreadable,
+    )
+    from .mask_files import read_mask
+    from .metrics import tables
+    from .paper_layout import export_paper
+    from .pipeline import analyze
+    from .read import read_movie
+    from .store import load, save
+
+_HOME = {
+    "Analysis": "analysis", "Config": "config", "Movie": "data", "analyze": "pipeline", "export_paper": "paper_layout",
+    "load": "store", "read_mask": "mask_files", "read_movie": "read", "save": "store", "tables": "metrics",
+    **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ConfigError", "MaskUnusable", "MicrobundleError",
+                     "MovieUnreadable", "NoTexture", "NoTissue", "OutputError", "ResultUnreadable"), "errors"),
+}
+"""Module of each public name; they are imported when first used, so that `import microbundle` is fast."""
+
+__all__ = [
+    "Analysis",
+    "CalibrationMissing",
+    "CannotMeasure",
+    "Config",
+    "ConfigError",
+    "MaskUnusable",
+    "MicrobundleError",
+    "Movie",
+    "MovieUnreadable",
+    "NoTexture",
+    "NoTissue",
+    "OutputError",
+    "ResultUnreadable",
+    "__version__",
+    "analyze",
+    "export_paper",
+    "load",
+    "read_mask",
+    "read_movie",
+    "save",
+    "tables",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("microbundle")
+    if name in _HOME:
+        return getattr(import_module(f".{_HOME[name]}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

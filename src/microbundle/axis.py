@@ -72,8 +72,8 @@ def paper_axis(tissue: Bools) -> tuple[Floats, Floats, float]:
     center, direction = _paper_box(mask)
     angle_deg = float(np.degrees(np.arctan2(direction[0], direction[1])))
     # Turned about the centre with row and column exchanged: of the centres tried, only this gives the published 116 px.
-    turn = cv2.getRotationMatrix2D((center[0], center[1]), angle_deg, 1.0)
-    level = cv2.warpAffine(mask, turn, (mask.shape[1], mask.shape[0]), flags=cv2.INTER_LINEAR)
+    turn = cv2.getRotationMatrix2D((float(center[0]), float(center[1])), angle_deg, 1.0)
+    level = np.asarray(cv2.warpAffine(mask, turn, (mask.shape[1], mask.shape[0]), flags=cv2.INTER_LINEAR), float)
     level_center, _ = _paper_box(_without_border(level, PAPER_BORDER_PX))
     row = np.nonzero(level[:, int(level_center[1])])[0]
     if row.size == 0:

@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    import pandas as pd
 
-    from .config import Config
+    pass
 
 Floats = NDArray[np.floating[Any]]
 Ints = NDArray[np.integer[Any]]
@@ -72,9 +71,8 @@ class Movie:
     um_per_px_source: Source = "unknown"
     supplied_masks: Mapping[str, Bools] = field(default_factory=dict)
     """Masks that came with the movie, by name: `tissue`, `pillar_1`, `pillar_2`, ... each (R, C)."""
-    path: Path | None = None
-    content_hash: str = ""
-    """SHA-256 over the movie's files, or the empty string for a movie made in memory."""
+    files: tuple[Path, ...] = ()
+    """The files the frames come from, in order; empty for a movie made in memory."""
     findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
@@ -103,7 +101,7 @@ class Movie:
         if array.ndim != 3:
             raise ValueError(f"array: expected (frames, rows, cols), found shape {array.shape}")
         return cls(
-            name=name, frames=array, shape=(int(array.shape[1]), int(array.shape[2])),  # type: ignore[arg-type]
+            name=name, frames=array, shape=(int(array.shape[1]), int(array.shape[2])),
             time_s=None if fps is None else np.arange(len(array)) / fps,
             time_source="unknown" if fps is None else "user",
             um_per_px=um_per_px, um_per_px_source="unknown" if um_per_px is None else "user",
@@ -227,10 +225,10 @@ class Beats:
     """(B,): False for a beat that the movie's start or end cuts off; it has no period."""
     relaxed: Bools
     """(T,): frames in which the tissue rests."""
-    relaxed_frames: Bools
-    """(B, T): the resting frames whose mean is the relaxed state of each beat."""
-    drift_px: Floats
-    """(B, 2): mean movement (row, col) of the relaxed state of each beat from that of the movie."""
+    relaxed_px: Floats
+    """(N, 2): where each marker rests, its mean over all relaxed frames."""
+    beat_relaxed_px: Floats
+    """(B, N, 2): where each marker rests around each beat."""
     method: str
     findings: tuple[Finding, ...] = ()
 
@@ -239,11 +237,19 @@ class Beats:
         for name in ("peak", "stop", "complete"):
             _expect(name, getattr(self, name), (b,))
         _expect("relaxed", self.relaxed, (t,))
-        _expect("relaxed_frames", self.relaxed_frames, (b, t))
-        _expect("drift_px", self.drift_px, (b, 2))
+        _expect("relaxed_px", self.relaxed_px, (None, 2))
+        _expect("beat_relaxed_px", self.beat_relaxed_px, (b, len(self.relaxed_px), 2))
 
     def __len__(self) -> int:
         return len(self.start)
+
+    @property
+    def drift_px(self) -> Floats:
+        """(B, 2): movement (row, col) of the relaxed state of each beat from that of the movie, the median over
+        markers."""
+        if len(self) == 0:
+            return np.zeros((0, 2))
+        return np.asarray(np.nanmedian(self.beat_relaxed_px - self.relaxed_px, axis=1))
 
     @property
     def beat_of_frame(self) -> Ints:
@@ -252,6 +258,15 @@ class Beats:
         for b, (first, stop) in enumerate(zip(self.start, self.stop, strict=True)):
             out[first:stop] = b
         return out
+
+    @property
+    def nearest_beat(self) -> Ints:
+        """(T,): number of the beat that each frame belongs to or lies nearest to; all -1 where there are no beats."""
+        t = np.arange(len(self.signal_px))
+        if len(self) == 0:
+            return np.full(len(t), -1)
+        away = np.maximum(self.start - t[:, None], t[:, None] - (self.stop - 1))
+        return np.asarray(np.argmin(np.maximum(away, 0), axis=1))
 
 
 @dataclass(frozen=True)

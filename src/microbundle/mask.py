@@ -14,7 +14,7 @@ last third of the movie give.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,13 +43,12 @@ FRAMES_READ = 24
 """Frames that the default reads, evenly spaced."""
 FINE_PX, COARSE_PX = 512, 192
 """Longest side of the picture in which the outline is drawn, and of the one in which regions are compared."""
+SMALLEST_PX = 24
+"""Below this side, a tissue is a few pixels wide and no outline can be drawn."""
 PADDING_LIMIT = 0.7
 """A picture turned by 45 degrees and kept whole is half padding; with more than this, too little is left to see."""
 OPENINGS = (0.0, 0.008, 0.016, 0.032)
 """Radii of the openings that cut a region free of its neighbours, as shares of the picture's side."""
-EDGE_LEVEL = 0.4
-"""Level of the outline, from 0 on the ground to 1 in the tissue: the rim of a tissue is thinner, so half would be too
-far inside."""
 STRONGER_BLUR = 1.5
 """Factor on the smoothing, for the stability."""
 HAIR = 0.006
@@ -189,7 +188,16 @@ def _paper_mask(image: Image, method: str, shift: float = 0.0) -> Bools:
         border = np.ones(image.shape, bool)
         border[PAPER_BORDER_PX:-PAPER_BORDER_PX, PAPER_BORDER_PX:-PAPER_BORDER_PX] = False
         tissue &= ~border
-    return _erode(_dilate(largest_region(tissue), PAPER_CLOSING_PX[method]), PAPER_CLOSING_PX[method])
+    return _close_with_disk(largest_region(tissue), PAPER_CLOSING_PX[method])
+
+
+def _close_with_disk(mask: Bools, radius_px: int) -> Bools:
+    """Binary closing by the disk of all pixels within `radius_px`; the picture's border does not erode."""
+    if not mask.any():
+        return mask
+    rounding = 1e-3  # the distances are square roots of whole numbers, as float32
+    grown = _distance(~mask, cv2.DIST_MASK_PRECISE) <= radius_px + rounding
+    return grown if grown.all() else _distance(grown, cv2.DIST_MASK_PRECISE) > radius_px + rounding
 
 
 def otsu(values: Image, shift: float = 0.0) -> float:
@@ -214,7 +222,7 @@ def _histogram(values: Image, bins: int = FLOAT_BINS) -> tuple[Floats, Floats]:
     if low == high:
         raise ValueError(f"values: expected at least two different ones, found only {low}")
     if values.dtype.kind in "iu" and int(high) - int(low) < LARGEST_EXACT_RANGE:
-        count = np.bincount((values.astype(np.int64) - int(low)))
+        count = np.bincount(values.astype(np.int64) - int(low))
         return np.arange(int(low), int(high) + 1, dtype=float), count.astype(float)
     counts, edges = np.histogram(values.astype(float), bins)
     return 0.5 * (edges[1:] + edges[:-1]), counts.astype(float)
@@ -247,7 +255,7 @@ class _Recipe:
     """How a region was made: a field that is high on tissue, one of its thresholds, and an opening."""
 
     kind: str
-    """A key of FIELDS."""
+    """A key of KINDS."""
     threshold: int
     """Which of the field's thresholds."""
     opening: float
@@ -270,7 +278,9 @@ def _automatic(movie: Movie) -> tuple[str, Bools, float]:
     if stability < REFUSE_STABILITY:
         raise NoTissue(f"{movie.name}: expected a region that stays in place when the threshold moves a little, found "
                        f"only one that changes altogether (overlap {stability:.2f}). {ADVICE}")
-    return recipe.kind, _enlarge(_without_caps(whole, tissue), movie.shape), stability
+    if recipe.kind.startswith("dark"):
+        tissue = _without_caps(whole, tissue)
+    return recipe.kind, _enlarge(tissue, movie.shape), stability
 
 
 def _stability(views: list[_View], recipe: _Recipe, region: Bools) -> float:
@@ -316,7 +326,10 @@ def _without_caps(view: _View, tissue: Bools) -> Bools:
 
 
 def _views(movie: Movie) -> list[_View]:
-    """Views of the whole movie and, if it has three frames or more, of its first and last third; raises NoTissue for a picture mostly empty."""
+    """Views of the whole movie and, from three frames on, of its first and last third.
+
+    Raises NoTissue where most of the picture is empty.
+    """
     index = np.unique(np.linspace(0, movie.count - 1, min(FRAMES_READ, movie.count)).round().astype(int))
     sums: list[Any] = [0.0, 0.0, 0.0]
     counts = [0, 0, 0]
@@ -333,6 +346,9 @@ def _views(movie: Movie) -> list[_View]:
                        f"zero) from the border inwards, as after a threshold or too short an exposure. {ADVICE}")
     # The rim of the padding is half padding: interpolated when the picture was turned.
     seen = _shrink((~_dilate(padding, 2)).astype(np.float32), FINE_PX) > 0.99
+    if min(seen.shape) < SMALLEST_PX or not seen.any():
+        raise NoTissue(f"{movie.name}: expected frames of at least {SMALLEST_PX} x {SMALLEST_PX} px, found "
+                       f"{movie.shape[0]} x {movie.shape[1]}. {ADVICE}")
     nearest = None if seen.all() else tuple(
         ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True))
     whole = _view(sum(sums) / sum(counts), seen, nearest)
@@ -343,14 +359,15 @@ def _views(movie: Movie) -> list[_View]:
 
 def _view(mean: Floats, seen: Bools, nearest: tuple[Any, ...] | None) -> _View:
     """Make a view of a mean frame; `nearest` holds, for each pixel, the row and the column of the nearest seen one."""
-    mean = cv2.medianBlur(np.nan_to_num(mean).astype(np.float32), 3)  # a hot pixel would set the scale of all below
-    mean = np.clip(mean, *np.percentile(mean[seen], [0.1, 99.9]).astype(np.float32))
-    return _View(mean if nearest is None else mean[nearest], seen)
+    calm = cv2.medianBlur(np.nan_to_num(mean).astype(np.float32), 3)  # a hot pixel would set the scale of all below
+    low, high = np.percentile(calm[seen], [0.1, 99.9])
+    calm = np.clip(calm, np.float32(low), np.float32(high))
+    return _View(calm if nearest is None else calm[nearest], seen)
 
 
 def _padding(empty: Bools) -> Bools:
-    """Pixels that are zero in every frame and connect to the border by pixels like them; specks are left alone."""
-    count, label, stats, _ = cv2.connectedComponentsWithStats(empty.astype(np.uint8), connectivity=4)
+    """Pixels that are zero in every frame and connect to the border by pixels like them."""
+    count, label = cv2.connectedComponents(empty.astype(np.uint8), connectivity=4)
     border = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
     keep = np.zeros(count, bool)
     keep[border] = True
@@ -366,7 +383,7 @@ def _even_darkness(view: _View, blur: float) -> Floats:
     """Darkness after division by the light of the ground, a paraboloid fitted to the brighter pixels."""
     smooth = _smooth(view.mean, view.side_px * 0.003 * blur)
     thin = (slice(None, None, 4),) * 2
-    row, col = np.mgrid[-1:1:smooth.shape[0] * 1j, -1:1:smooth.shape[1] * 1j]  # type: ignore[misc]
+    row, col = np.mgrid[-1:1:smooth.shape[0] * 1j, -1:1:smooth.shape[1] * 1j]
     terms = np.stack([np.ones_like(row), row, col, row * row, row * col, col * col], axis=-1)
     value, term, used = smooth[thin].ravel(), terms[thin].reshape(-1, 6), view.seen[thin].ravel().copy()
     ground = np.full(value.shape, np.median(value[used]))
@@ -400,7 +417,27 @@ def _detail(view: _View) -> Floats:
     return np.where(_erode(view.seen, 0.012 * view.side_px), detail, 0.0)
 
 
-FIELDS = {"dark": _darkness, "dark_evened": _even_darkness, "texture": _texture}
+def _brightness(view: _View, blur: float) -> Floats:
+    return -_darkness(view, blur)
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """One way in which tissue can differ from its ground."""
+
+    field: Callable[[_View, float], Floats]
+    """Picture that is high on tissue, from a view and a factor on the smoothing."""
+    prior: float
+    """Factor on the plausibility."""
+    edge_level: float
+    """Level of the outline, from 0 on the ground to 1 in the tissue."""
+
+
+# The rim of a dark tissue is thin and so less dark: the level halfway would lie too far inside. Texture is measured
+# over a window, which carries it outwards: there the level halfway would lie too far outside. A bright strip is more
+# often the ground between a tissue and a wall than a tissue.
+KINDS = {"dark": _Kind(_darkness, 1.0, 0.4), "dark_evened": _Kind(_even_darkness, 1.0, 0.4),
+         "texture": _Kind(_texture, 1.0, 0.7), "bright": _Kind(_brightness, 0.75, 0.4)}
 
 
 def _thresholds(values: Floats) -> tuple[float, float, float]:
@@ -419,8 +456,8 @@ def _thresholds(values: Floats) -> tuple[float, float, float]:
 def _regions(view: _View) -> Iterator[tuple[_Recipe, Bools]]:
     """All regions that might be the tissue, with the way each was made."""
     smallest_px = SIZE_RAMP[0] * view.mean.size
-    for kind, make in FIELDS.items():
-        field = make(view, 1.0)
+    for name, kind in KINDS.items():
+        field = kind.field(view, 1.0)
         if np.ptp(field[view.seen]) == 0:
             continue
         for number, cut in enumerate(_thresholds(field[view.seen])):
@@ -431,14 +468,15 @@ def _regions(view: _View) -> Iterator[tuple[_Recipe, Bools]]:
                 opened = _dilate(depth > radius, radius)
                 _, label, stats, _ = cv2.connectedComponentsWithStats(opened.astype(np.uint8), connectivity=8)
                 for i in 1 + np.nonzero(stats[1:, cv2.CC_STAT_AREA] >= smallest_px)[0]:
-                    yield _Recipe(kind, number, opening), label == i
+                    yield _Recipe(name, number, opening), label == i
 
 
 def _most_plausible(view: _View) -> tuple[_Recipe | None, Bools, float]:
     best: tuple[_Recipe | None, Bools, float] = (None, np.zeros(view.mean.shape, bool), 0.0)
     judge = _Judge(view)
     for recipe, region in _regions(view):
-        score = judge.plausibility(region, to_beat=best[2])
+        prior = KINDS[recipe.kind].prior
+        score = prior * judge.plausibility(region, to_beat=best[2] / prior)
         if score > best[2]:
             best = (recipe, region, score)
     return best
@@ -450,7 +488,7 @@ def _draw(view: _View, recipe: _Recipe, near: Bools, shift: float = 0.0, blur: f
     The outline is moved to a level between those of the tissue and the ground beside it: a threshold for the whole
     picture also weighs walls and shadows that are far from the tissue.
     """
-    side_px, field = view.side_px, FIELDS[recipe.kind](view, blur)
+    side_px, field = view.side_px, KINDS[recipe.kind].field(view, blur)
     if np.ptp(field[view.seen]) == 0:
         return np.zeros(near.shape, bool)
     cut = _thresholds(field[view.seen])[recipe.threshold]
@@ -462,7 +500,7 @@ def _draw(view: _View, recipe: _Recipe, near: Bools, shift: float = 0.0, blur: f
     if not ground_at.any() or not tissue_at.any():
         return np.zeros(near.shape, bool)
     ground, tissue = float(np.median(field[ground_at])), float(np.median(field[tissue_at]))
-    edge = ground + (EDGE_LEVEL + shift) * (tissue - ground)
+    edge = ground + (KINDS[recipe.kind].edge_level + shift) * (tissue - ground)
     above = (field > edge) & view.seen & (outward < NEAR_BAND[0] * side_px)
     radius = HAIR * side_px
     region = _overlapping(_open(above, radius), near)
@@ -527,11 +565,13 @@ class _Judge:
         score *= _ramp(float(np.hypot(*(middle - self.middle))) / (0.5 * min(region.shape)), OFFSET_RAMP)
         if score <= to_beat:
             return 0.0
-        return score * _ramp(bend(fill_holes(region)), BEND_RAMP) * self._contrast(region)
+        body = cv2.drawContours(np.zeros(region.shape, np.uint8), [outline], -1, 1, cv2.FILLED).astype(bool)
+        score *= _ramp(bend(body), BEND_RAMP)
+        return score * self._contrast(region, body) if score > to_beat else 0.0
 
-    def _contrast(self, region: Bools) -> float:
+    def _contrast(self, region: Bools, body: Bools) -> float:
         """How sharply a band inside the outline differs from a band outside, in brightness or in fine detail."""
-        side_px, body = self.view.side_px, fill_holes(region)
+        side_px = self.view.side_px
         outward, inward = _distance(~body), _distance(body)
         ground_at = (outward > 0.008 * side_px) & (outward < 0.05 * side_px) & self.view.seen
         tissue_at = region & (inward < 0.05 * side_px)
@@ -557,22 +597,23 @@ def _dilate(mask: Bools, radius: float) -> Bools:
     """Add all pixels within `radius` of a mask: a disk of any size at the cost of one distance transform."""
     if radius <= 0 or not mask.any():
         return mask
-    return _distance(~mask) <= radius + 1e-3
+    return _distance(~mask) <= radius
 
 
 def _erode(mask: Bools, radius: float) -> Bools:
     """Take all pixels within `radius` of the ground off a mask; beyond the picture's border there is no ground."""
     if radius <= 0 or mask.all():
         return mask
-    return _distance(mask) > radius + 1e-3
+    return _distance(mask) > radius
 
 
 def _open(mask: Bools, radius: float) -> Bools:
     return _dilate(_erode(mask, radius), radius)
 
 
-def _distance(mask: Bools) -> Floats:
-    return np.asarray(cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+def _distance(mask: Bools, kind: int = cv2.DIST_MASK_5) -> Floats:
+    """Distance of each pixel of a mask from the nearest pixel outside it, to 2 % or exactly (three times the cost)."""
+    return np.asarray(cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, kind))
 
 
 def _smooth(image: Floats, sigma: float) -> Floats:

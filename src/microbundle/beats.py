@@ -1,0 +1,212 @@
+"""Cut a movie into beats, and find where the tissue rests before and after each.
+
+The default looks for peaks of the contraction signal that stand out of the signal's own noise. A beat runs from the
+middle of the rest before it to the middle of the rest after it, and each beat's relaxed state is the mean over the
+frames of these two rests; so a drifting stage, a movie that starts contracted, an irregular rhythm or a single beat
+need no trimming. A beat that the movie's start or end cuts off is kept, marked as not complete.
+
+`paper` follows the published program: peaks of the mean absolute displacement with a fixed prominence, valleys half
+way between peaks, and the first and last beats left out. Source: paper, "Temporal segmentation".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .config import BeatParams, Config
+from .contraction import contraction_signal, frame_noise
+from .data import Beats, Bools, Finding, Floats, Ints, Masks, Movie, Tracks
+
+SMALLEST_SHARE = 0.25
+"""A peak counts as a beat from this share of the signal's whole range."""
+REST_SHARE = 0.1
+"""The tissue rests where the signal is within this share of the beat's height above its lowest point."""
+CUT_SHARE = 0.3
+"""A beat is cut off by the movie's end where the signal there is above this share of the usual height."""
+SMALLEST_PX = 0.01
+"""Motion below this cannot be measured with 8-bit tracking on any movie seen so far."""
+
+PAPER_PROMINENCE_PX = 0.1
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Frames at which the movie is cut: beats, and the rests between them."""
+
+    start: list[int]
+    peak: list[int]
+    stop: list[int]
+    complete: list[bool]
+    rests: list[tuple[tuple[int, int], ...]]
+    """For each beat, the first and end frame of each rest that belongs to it."""
+
+
+def find_beats(tracks: Tracks, masks: Masks, movie: Movie, config: Config) -> Beats:
+    """Find the beats of a tracked movie.
+
+    A movie without a whole beat gives zero beats and a finding that says why.
+    """
+    if config.method == "paper":
+        return _paper_beats(tracks)
+    displacement = tracks.position_px - tracks.position_px[tracks.reference_frame]
+    displacement = displacement[:, tracks.kept]
+    signal = contraction_signal(displacement, tracks.position_px[tracks.reference_frame][tracks.kept],
+                                masks.axis.direction)
+    noise = frame_noise(signal)
+    cut, why_none = cut_signal(signal, noise, config.beats, movie.frames_per_s)
+    return _beats(tracks, cut, noise, why_none)
+
+
+def cut_signal(signal: Floats, noise: float, params: BeatParams,
+               frames_per_s: float | None = None) -> tuple[Cut, str]:
+    """Cut a contraction signal (T,) in px into beats; the text says why where there are none."""
+    from scipy.signal import find_peaks
+
+    none = Cut([], [], [], [], [])
+    if len(signal) < 5:
+        return none, f"the movie has only {len(signal)} frames"
+    smooth = np.convolve(np.pad(signal, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
+    low, high = np.quantile(smooth, [0.02, 0.98])
+    stands_out = max(params.noise_factor * noise, params.min_amplitude_px, SMALLEST_PX)
+    if smooth.max() - smooth.min() < stands_out:
+        return none, (f"no motion above the noise was found: the signal's range is "
+                      f"{smooth.max() - smooth.min():.3g} px, and a beat needs {stands_out:.3g} px")
+    distance = max(1.0, params.min_period_s * frames_per_s) if frames_per_s else 1.0
+    prominence = max(stands_out, SMALLEST_SHARE * (high - low))
+    # Below both ends, so that a signal that starts or ends high has a peak there: a beat that is cut off.
+    padded = np.concatenate([[smooth.min()], smooth, [smooth.min()]])
+    peaks = find_peaks(padded, prominence=prominence, distance=distance)[0] - 1
+    inner = peaks[(peaks > 0) & (peaks < len(signal) - 1)]
+    if len(inner) == 0:
+        return none, f"the tissue moves by {high - low:.3g} px, but the movie holds no peak of a beat"
+    return _cut_at(smooth, noise, inner), ""
+
+
+def _cut_at(smooth: Floats, noise: float, peaks: Ints) -> Cut:
+    """Put the cuts into the middle of the rests around the peaks."""
+    edges = [0, *(int(p) for p in peaks), len(smooth) - 1]
+    rests = [_rest(smooth, a, b, noise) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    level = [float(smooth[a:b].mean()) for a, b in rests]
+    inner = level[1:-1] or [min(level)]
+    base, height = float(np.median(inner)), float(np.median(smooth[peaks])) - float(np.median(inner))
+    whole = [lvl - base <= CUT_SHARE * height for lvl in level]
+
+    cuts = [(a + b) // 2 for a, b in rests]
+    rise = int(np.median([p - c for p, c in zip(peaks[1:], cuts[1:-1], strict=True)] or [peaks[0] - rests[0][0]]))
+    fall = int(np.median([c - p for p, c in zip(peaks[:-1], cuts[1:-1], strict=True)] or [rests[-1][1] - peaks[-1]]))
+    # The first and last rests may be long, or cut short by the movie; the beat takes from them what others take.
+    cuts[0] = max(rests[0][0], int(peaks[0]) - rise) if whole[0] else 0
+    cuts[-1] = min(rests[-1][1], int(peaks[-1]) + fall) if whole[-1] else len(smooth)
+
+    starts, stops, tops = cuts[:-1], cuts[1:], [int(p) for p in peaks]
+    complete = [bool(a and b) for a, b in zip(whole[:-1], whole[1:], strict=True)]
+    pairs = [tuple(r for r, ok in ((rests[i], whole[i]), (rests[i + 1], whole[i + 1])) if ok)
+             for i in range(len(tops))]
+    # What is left at the ends, when it rises high enough, is part of one more beat.
+    for first, stop, side in ((0, starts[0], 0), (stops[-1], len(smooth), -1)):
+        part = smooth[first:stop]
+        if len(part) > 1 and part.max() - base > CUT_SHARE * height:
+            where = 0 if side == 0 else len(tops)
+            starts.insert(where, first)
+            stops.insert(where, stop)
+            tops.insert(where, first + int(np.argmax(part)))
+            complete.insert(where, False)
+            pairs.insert(where, (rests[side],) if whole[side] else ())
+    near = [pair or (rests[min(range(len(rests)), key=lambda i: level[i])],) for pair in pairs]
+    return Cut(starts, tops, stops, complete, near)
+
+
+def _rest(smooth: Floats, first: int, last: int, noise: float) -> tuple[int, int]:
+    """First and end frame of the rest between two peaks: the run around the lowest point that stays near it."""
+    part = smooth[first:last + 1]
+    lowest = int(np.argmin(part))
+    height = max(float(min(part[0], part[-1]) - part[lowest]), 0.0)
+    if first == 0 or last == len(smooth) - 1:  # one side is the movie's end, not a peak
+        height = float(part.max() - part[lowest])
+    low = part <= part[lowest] + max(REST_SHARE * height, 2 * noise if np.isfinite(noise) else 0.0)
+    a = lowest
+    while a > 0 and low[a - 1]:
+        a -= 1
+    b = lowest + 1
+    while b < len(part) and low[b]:
+        b += 1
+    return first + a, first + b
+
+
+def _beats(tracks: Tracks, cut: Cut, noise: float, why_none: str) -> Beats:
+    """Complete a cut with the relaxed positions and the signal."""
+    count, markers = tracks.ok.shape
+    relaxed = np.zeros(count, bool)
+    beat_relaxed = np.full((len(cut.peak), markers, 2), np.nan)
+    for b, rests in enumerate(cut.rests):
+        here = np.zeros(count, bool)
+        for first, stop in rests:
+            here[first:stop] = True
+        beat_relaxed[b] = _mean_position(tracks.position_px[here])
+        relaxed |= here
+    if not cut.peak:
+        relaxed[:] = True
+    rest = _mean_position(tracks.position_px[relaxed])
+    moved = tracks.position_px[:, tracks.kept] - rest[tracks.kept]
+    signal = _mean_over_markers(np.hypot(moved[..., 0], moved[..., 1]))
+    beats = Beats(signal, noise, np.array(cut.start, int), np.array(cut.peak, int), np.array(cut.stop, int),
+                  np.array(cut.complete, bool), relaxed, rest, beat_relaxed, "default")
+    return _with_findings(beats, why_none)
+
+
+def _with_findings(beats: Beats, why_none: str) -> Beats:
+    from dataclasses import replace
+
+    findings: list[Finding] = []
+    whole = int(beats.complete.sum())
+    if whole == 0:
+        why = why_none or "every beat is cut off by the movie's start or end"
+        findings.append(Finding("no_whole_beat", "fail", f"no whole beat: {why}", 0.0, 1.0))
+    elif whole < 3:
+        findings.append(Finding("few_beats", "review", f"only {whole} whole beat{'s' * (whole > 1)}; a spread "
+                                "between beats needs at least two, a rhythm at least three", float(whole), 3.0))
+    if len(beats) and not beats.complete[0] and beats.start[0] == 0:
+        findings.append(Finding("contracted_start", "info", "the movie starts within a beat; that beat is kept, "
+                                "marked as not complete"))
+    if len(beats) > 1:
+        drift = float(np.hypot(*(beats.drift_px[-1] - beats.drift_px[0])))
+        height = float(np.median(beats.signal_px[beats.peak]))
+        if drift > 0.25 * height:
+            findings.append(Finding("drift", "review", f"the relaxed tissue moves by {drift:.2g} px over the movie; "
+                                    "each beat is measured from its own relaxed state", drift, 0.25 * height))
+    return replace(beats, findings=tuple(findings))
+
+
+def _paper_beats(tracks: Tracks) -> Beats:
+    from scipy.signal import find_peaks
+
+    moved = tracks.position_px - tracks.position_px[0]
+    series = np.hypot(moved[..., 0], moved[..., 1]).mean(axis=1)
+    crossings = np.flatnonzero(np.diff(np.sign(series - series.mean())))
+    peaks = np.empty(0, int)
+    if len(crossings) > 1:
+        distance = max(1.0, 1.5 * float(np.diff(crossings).mean()))
+        peaks = find_peaks(series, distance=distance, prominence=PAPER_PROMINENCE_PX)[0]
+    valleys = ((peaks[:-1] + peaks[1:]) / 2).astype(int)
+    start, stop = valleys[:-1], valleys[1:]
+    peak = peaks[1:-1] if len(peaks) > 2 else np.empty(0, int)
+    relaxed = np.zeros(len(series), bool)
+    relaxed[start] = True
+    beats = Beats(series, frame_noise(series), start, peak, stop, np.ones(len(start), bool), relaxed,
+                  tracks.position_px[0].astype(float), tracks.position_px[start].astype(float), "paper")
+    return _with_findings(beats, f"the published method needs three peaks; {len(peaks)} were found")
+
+
+def _mean_position(position_px: Floats) -> Floats:
+    """Mean over frames (F, N, 2) -> (N, 2), over the frames in which each marker was followed."""
+    seen: Bools = np.isfinite(position_px)
+    total = np.where(seen, position_px, 0).sum(axis=0, dtype=float)
+    return np.asarray(np.divide(total, seen.sum(axis=0), out=np.full(total.shape, np.nan), where=seen.any(axis=0)))
+
+
+def _mean_over_markers(length_px: Floats) -> Floats:
+    seen = np.isfinite(length_px)
+    total = np.where(seen, length_px, 0).sum(axis=1, dtype=float)
+    return np.asarray(np.divide(total, seen.sum(axis=1), out=np.full(len(total), np.nan), where=seen.any(axis=1)))

@@ -1,0 +1,113 @@
+"""Read masks that a person or another program made: text, pictures and polygons."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .data import Bools, Floats
+from .errors import MaskUnusable
+
+PICTURES = (".png", ".tif", ".tiff", ".bmp")
+
+
+def read_mask(path: Path | str, shape: tuple[int, ...]) -> Bools:
+    """Read a mask (R, C) from a file: text of 0/1 or 0/255, a two-valued picture, or a polygon.
+
+    A polygon is a CSV file with the columns `row,col`, or a JSON list of [row, col] points, in pixels.
+    `shape` is that of the movie's frames. Raises MaskUnusable for a missing file, other values, another shape, or an
+    empty mask.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    try:
+        if suffix in PICTURES:
+            mask = _two_valued(_picture(path), path)
+        elif suffix == ".json":
+            mask = polygon_mask(_points(json.loads(path.read_text(encoding="utf-8"))), shape)
+        elif suffix == ".csv":
+            mask = polygon_mask(_points(np.genfromtxt(path, delimiter=",", names=True)), shape)
+        else:
+            mask = _two_valued(np.loadtxt(path, ndmin=2), path)
+    except MaskUnusable:
+        raise
+    except OSError as error:
+        raise MaskUnusable(f"{path}: the mask cannot be read: {error.strerror or error}") from None
+    except Exception as error:  # whatever a damaged file makes a parser raise
+        raise MaskUnusable(f"{path}: expected a mask as text (0/1), picture, or polygon with columns row,col: "
+                           f"{error}") from None
+    if mask.shape != tuple(shape):
+        raise MaskUnusable(f"{path}: expected a mask of {shape[0]} x {shape[1]} px like the frames; "
+                           f"found {mask.shape[0]} x {mask.shape[1]}")
+    if not mask.any():
+        raise MaskUnusable(f"{path}: expected some tissue in the mask; it is empty")
+    return mask
+
+
+def find_supplied_masks(movie_path: Path, shape: tuple[int, ...]) -> dict[str, Bools]:
+    """Read the masks that lie beside a movie in the paper's layout: `masks/tissue_mask.txt`, `pillar_mask_1.txt`, ...
+
+    Returns them by the names `tissue`, `pillar_1`, `pillar_2`, ...; gaps in the numbers are allowed.
+    """
+    home = movie_path.parent if movie_path.name == "movie" or movie_path.is_file() else movie_path
+    folder = home / "masks"
+    if movie_path.is_file() or not folder.is_dir():
+        return {}
+    found: dict[str, Bools] = {}
+    for file in sorted(folder.iterdir()):
+        name = file.name.lower()
+        if name == "tissue_mask.txt":
+            found["tissue"] = read_mask(file, shape)
+        elif match := re.fullmatch(r"pillar_mask_(\d+)\.txt", name):
+            found[f"pillar_{int(match[1])}"] = read_mask(file, shape)
+    return found
+
+
+def polygon_mask(points_px: Floats, shape: tuple[int, ...]) -> Bools:
+    """Fill a polygon given by its corners (row, col) in pixels, shape (P, 2), with P at least 3."""
+    from PIL import Image, ImageDraw
+
+    if points_px.ndim != 2 or points_px.shape[1] != 2 or len(points_px) < 3:
+        raise MaskUnusable(f"polygon: expected at least three (row, col) points; found shape {points_px.shape}")
+    if not np.isfinite(points_px).all():
+        raise MaskUnusable("polygon: expected numbers; found an empty or unreadable coordinate")
+    picture = Image.new("1", (shape[1], shape[0]))
+    ImageDraw.Draw(picture).polygon([(float(c), float(r)) for r, c in points_px], fill=1)
+    return np.array(picture, dtype=bool)
+
+
+def _points(raw: Any) -> Floats:
+    if isinstance(raw, np.ndarray) and raw.dtype.names:
+        names = {n.lower(): n for n in raw.dtype.names}
+        if not {"row", "col"} <= names.keys():
+            raise MaskUnusable(f"polygon: expected the columns row and col; found {', '.join(raw.dtype.names)}")
+        return np.stack([np.atleast_1d(raw[names["row"]]), np.atleast_1d(raw[names["col"]])], axis=1)
+    return np.asarray(raw, dtype=float)
+
+
+def _picture(path: Path) -> Any:
+    if path.suffix.lower() in (".tif", ".tiff"):
+        import tifffile
+
+        return tifffile.imread(path)
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        return np.array(picture.convert("L"))
+
+
+def _two_valued(values: Any, path: Path) -> Bools:
+    values = np.squeeze(values)
+    if values.ndim == 3 and values.shape[-1] in (3, 4):
+        values = values[..., 0]
+    if values.ndim != 2:
+        raise MaskUnusable(f"{path}: expected a 2-D mask; found shape {values.shape}")
+    levels = np.unique(values)
+    if len(levels) > 2 or (len(levels) and (levels[0] < 0 or not np.isin(levels, (0, 1, 255, 65535)).all())):
+        shown = ", ".join(f"{v:g}" for v in levels[:5]) + (", ..." if len(levels) > 5 else "")
+        raise MaskUnusable(f"{path}: expected a mask of 0 and 1, or 0 and 255; found the values {shown}")
+    return np.asarray(values > 0)

@@ -1,0 +1,70 @@
+"""The analysis of one movie, from the first frame to the last number, in the order the work is done."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import version
+
+from .analysis import Analysis
+from .beats import find_beats
+from .config import Config
+from .data import Finding, Masks, Movie, Strain
+from .errors import CannotMeasure, ConfigError
+from .events import Progress, Tell, ignore, stage
+from .grid import interpolate_grid
+from .markers import place_markers
+from .mask import find_masks
+from .read import calibrated, content_hash, prepare
+from .reference import find_relaxed_frame
+from .strain import measure_strain
+from .track import track_markers
+
+FEWEST_FRAMES = 3
+
+
+def analyze(movie: Movie, config: Config | None = None, *, masks: Masks | None = None, tell: Tell = ignore) -> Analysis:
+    """Measure one movie: tissue, tracks, beats, displacement field and strain.
+
+    `masks` replaces the automatic ones. `tell` hears of the progress. A movie in which nothing moves is a result, with
+    the verdict "fail" and a finding that says so. Raises NoTissue, NoTexture, MovieUnreadable, MaskUnusable.
+    """
+    if not isinstance(movie, Movie):
+        raise ConfigError(f"movie: expected a Movie, found {type(movie).__name__}; open a file with "
+                          "microbundle.read_movie(path), an array with microbundle.Movie.from_array(array)")
+    config = config or Config()
+    movie = prepare(calibrated(movie, config.fps, config.um_per_px), config.reading)
+    if movie.count < FEWEST_FRAMES:
+        raise CannotMeasure(f"{movie.name}: expected a movie of at least {FEWEST_FRAMES} frames; found {movie.count}")
+
+    stage(tell, "finding the tissue", 0.0, 0.1)
+    masks = masks or find_masks(movie, config.mask, axis_deg=config.axis_deg)
+    stage(tell, "finding a relaxed frame", 0.1, 0.25)
+    reference_frame = find_relaxed_frame(movie, masks, config)
+    markers = place_markers(movie, masks, reference_frame, config)
+    tracks = track_markers(movie, masks, markers, config, stage(tell, "tracking", 0.25, 0.9))
+    stage(tell, "beats and strain", 0.9, 1.0)
+    beats = find_beats(tracks, masks, movie, config)
+    grid = interpolate_grid(tracks, beats, masks, config)
+    strain, no_strain = _strain_or_reason(tracks, beats, masks, config)
+    tell(Progress("done", 1.0))
+
+    return Analysis(
+        name=movie.name, image=movie.frames[reference_frame], time_s=movie.time_s, time_source=movie.time_source,
+        um_per_px=movie.um_per_px, um_per_px_source=movie.um_per_px_source, config=config, masks=masks,
+        markers=markers, tracks=tracks, beats=beats, grid=grid, strain=strain,
+        movie_findings=movie.findings + no_strain, files=tuple(str(file) for file in movie.files),
+        input_hash=content_hash(movie), versions=_versions(),
+    )
+
+
+def _strain_or_reason(*stages: object) -> tuple[Strain | None, tuple[Finding, ...]]:
+    """Strain, or a finding where the tissue leaves no room for it: displacement is still a result."""
+    try:
+        return measure_strain(*stages), ()  # type: ignore[arg-type]
+    except CannotMeasure as error:
+        return None, (Finding("no_strain", "review", str(error)),)
+
+
+def _versions() -> dict[str, str]:
+    packages = ("microbundle", "numpy", "scipy", "opencv-python-headless", "tifffile")
+    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
