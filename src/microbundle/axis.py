@@ -26,6 +26,8 @@ WIDTH_MEDIAN_PX = 5
 PAPER_BORDER_PX = 10
 PAPER_SIGMA_PX = 1.0
 PAPER_LEVEL = 0.75
+PAPER_LEAST_KEPT = 0.85
+"""A picture that shows less of the tissue after it was turned gets a margin: its width would be that of a rest."""
 
 
 def measure_axis(tissue: Bools, axis_deg: float | None = None) -> TissueAxis:
@@ -71,9 +73,9 @@ def paper_axis(tissue: Bools) -> tuple[Floats, Floats, float]:
     mask = _without_border(np.asarray(tissue, bool).astype(np.float64), PAPER_BORDER_PX)
     center, direction = _paper_box(mask)
     angle_deg = float(np.degrees(np.arctan2(direction[0], direction[1])))
-    # Turned about the centre with row and column exchanged: of the centres tried, only this gives the published 116 px.
-    turn = cv2.getRotationMatrix2D((float(center[0]), float(center[1])), angle_deg, 1.0)
-    level = np.asarray(cv2.warpAffine(mask, turn, (mask.shape[1], mask.shape[0]), flags=cv2.INTER_LINEAR), float)
+    level = _paper_turn(mask, center, angle_deg, margin=0)
+    if level.sum() < PAPER_LEAST_KEPT * mask.sum():
+        level = _paper_turn(mask, center, angle_deg, margin=max(mask.shape))
     level_center, _ = _paper_box(_without_border(level, PAPER_BORDER_PX))
     row = np.nonzero(level[:, int(level_center[1])])[0]
     if row.size == 0:
@@ -164,6 +166,16 @@ def _without_border(image: Floats, width_px: int) -> Floats:
     inner = (slice(width_px, -width_px),) * 2
     out[inner] = image[inner]
     return out
+
+
+def _paper_turn(mask: Floats, center: Floats, angle_deg: float, margin: int) -> Floats:
+    """Turn a mask level in a picture of its own size, or with a margin around it.
+
+    The centre of the turn has row and column exchanged: of the centres tried, only this gives the published 116 px.
+    """
+    turn = cv2.getRotationMatrix2D((float(center[0]) + margin, float(center[1]) + margin), angle_deg, 1.0)
+    roomy = np.pad(mask, margin)
+    return np.asarray(cv2.warpAffine(roomy, turn, roomy.shape[::-1], flags=cv2.INTER_LINEAR), float)
 
 
 def _paper_box(mask: Floats) -> tuple[Floats, Floats]:

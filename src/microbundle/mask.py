@@ -3,8 +3,8 @@
 Four methods are the paper's (MicroBundleCompute, tissue segmentation): Otsu's threshold on a frame, on the gradient of
 a frame, and on the darkest or brightest value that each pixel takes. They answer for any picture that is not blank.
 
-The automatic default proposes many regions: dark ones and textured ones, with and without a correction of uneven
-light, each also cut free of what it touches by openings. It asks of every region what one asks of a microbundle: a
+The automatic default proposes many regions: dark ones (with and without a correction of uneven light), textured ones
+and bright ones, each also cut free of what it touches by openings. It asks of every region what one asks of a microbundle: a
 strip of plausible size near the middle of the picture, compact, not hanging on the picture's border, and different
 from the ground around it. The most plausible region wins; if none is plausible enough, it refuses.
 
@@ -47,6 +47,12 @@ SMALLEST_PX = 24
 """Below this side, a tissue is a few pixels wide and no outline can be drawn."""
 PADDING_LIMIT = 0.7
 """A picture turned by 45 degrees and kept whole is half padding; with more than this, too little is left to see."""
+BRIGHTNESS_BLUR = 0.003
+"""Smoothing before a threshold, as a share of the picture's side: 1.5 px of 512, about the grain of the noise."""
+DETAIL_BLURS = (0.002, 0.006)
+"""Fine detail is what lies between these two smoothings: cells and fibres, not shading."""
+TEXTURE_REACH = 0.016
+"""Half a window of the median that says how strong the detail is: a few fibres wide."""
 OPENINGS = (0.0, 0.008, 0.016, 0.032)
 """Radii of the openings that cut a region free of its neighbours, as shares of the picture's side."""
 STRONGER_BLUR = 1.5
@@ -65,6 +71,8 @@ CAP_SHARE = (0.01, 0.25)
 CAP_SOLIDITY = 0.7
 CAP_CONTRAST = 2.0
 """Difference of a cap's brightness from the tissue's, in standard deviations of the tissue's."""
+CAP_BRIGHTNESS = 0.2
+"""Least brightness of a cap, from 0 in the tissue to 1 on the ground; a mere spot of the tissue is darker."""
 CAP_RIM = 0.01
 """Width of the rim of a cap that is neither cap nor tissue."""
 ACCEPT = 0.35
@@ -300,12 +308,14 @@ def _without_caps(view: _View, tissue: Bools) -> Bools:
     rest; a threshold for the whole picture often takes half of it for tissue.
     """
     side_px, body = view.side_px, fill_holes(tissue)
-    smooth = _smooth(view.mean, 0.004 * side_px)
+    smooth = _smooth(view.mean, BRIGHTNESS_BLUR * side_px)
     inner = _erode(body, CAP_INSIDE * side_px)
     if not inner.any() or np.ptp(smooth[inner]) == 0:
         return tissue
     bright = inner & (smooth > otsu(smooth[inner]))
-    tissue_level, scatter = float(smooth[inner & ~bright].mean()), max(float(smooth[inner & ~bright].std()), 1e-9)
+    tissue_level, scatter = float(smooth[inner & ~bright].mean()), float(smooth[inner & ~bright].std())
+    ground_level = float(np.median(smooth[view.seen & ~body]))
+    brighter = max(CAP_CONTRAST * scatter, CAP_BRIGHTNESS * (ground_level - tissue_level))
     axis = measure_axis(body)
     count, label, stats, middle = cv2.connectedComponentsWithStats(
         _open(bright, CAP_RIM * side_px).astype(np.uint8), connectivity=8)
@@ -320,7 +330,7 @@ def _without_caps(view: _View, tissue: Bools) -> Bools:
         cap = label == max(here, key=share.__getitem__)
         hull = cv2.convexHull(cv2.findContours(cap.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0][0])
         compact = np.count_nonzero(cap) / max(cv2.contourArea(hull), 1.0)
-        if compact > CAP_SOLIDITY and float(smooth[cap].mean()) - tissue_level > CAP_CONTRAST * scatter:
+        if compact > CAP_SOLIDITY and float(smooth[cap].mean()) - tissue_level > brighter:
             cv2.fillConvexPoly(caps, hull, 1)
     return largest_region(tissue & ~_dilate(caps.astype(bool), CAP_RIM * side_px))
 
@@ -361,8 +371,11 @@ def _view(mean: Floats, seen: Bools, nearest: tuple[Any, ...] | None) -> _View:
     """Make a view of a mean frame; `nearest` holds, for each pixel, the row and the column of the nearest seen one."""
     calm = cv2.medianBlur(np.nan_to_num(mean).astype(np.float32), 3)  # a hot pixel would set the scale of all below
     low, high = np.percentile(calm[seen], [0.1, 99.9])
-    calm = np.clip(calm, np.float32(low), np.float32(high))
-    return _View(calm if nearest is None else calm[nearest], seen)
+    # A brightness below zero, as in a float movie with its mean taken off, has no ratio to the ground's.
+    lifted: Floats = np.asarray(np.clip(calm, low, high) - min(low, 0.0), np.float32)
+    if nearest is not None:
+        lifted = np.asarray(lifted[nearest], np.float32)
+    return _View(lifted, seen)
 
 
 def _padding(empty: Bools) -> Bools:
@@ -376,12 +389,12 @@ def _padding(empty: Bools) -> Bools:
 
 
 def _darkness(view: _View, blur: float) -> Floats:
-    return -_smooth(view.mean, view.side_px * 0.003 * blur)
+    return -_smooth(view.mean, view.side_px * BRIGHTNESS_BLUR * blur)
 
 
 def _even_darkness(view: _View, blur: float) -> Floats:
     """Darkness after division by the light of the ground, a paraboloid fitted to the brighter pixels."""
-    smooth = _smooth(view.mean, view.side_px * 0.003 * blur)
+    smooth = _smooth(view.mean, view.side_px * BRIGHTNESS_BLUR * blur)
     thin = (slice(None, None, 4),) * 2
     row, col = np.mgrid[-1:1:smooth.shape[0] * 1j, -1:1:smooth.shape[1] * 1j]
     terms = np.stack([np.ones_like(row), row, col, row * row, row * col, col * col], axis=-1)
@@ -393,7 +406,8 @@ def _even_darkness(view: _View, blur: float) -> Floats:
             break
         ground = term @ np.linalg.lstsq(term[bright], value[bright], rcond=None)[0]
     coefficient = np.linalg.lstsq(term, ground, rcond=None)[0]
-    light = np.maximum(terms @ coefficient, 0.2 * np.median(ground))
+    faintest = max(0.2 * float(np.median(ground)), 0.05 * float(np.ptp(smooth)), 1e-30)  # corners may be all dark
+    light = np.maximum(terms @ coefficient, faintest)
     return np.asarray(-smooth / light, np.float32)
 
 
@@ -402,8 +416,8 @@ def _texture(view: _View, blur: float) -> Floats:
     strength = np.log(_detail_strength(view))
     low, high = np.percentile(strength, [1, 99])
     bytes_ = (np.clip((strength - low) / max(high - low, 1e-9), 0, 1) * 255).astype(np.uint8)  # cv2's wide median
-    window = 2 * max(round(0.016 * view.side_px * blur), 1) + 1
-    return _smooth(cv2.medianBlur(bytes_, window).astype(np.float32), view.side_px * 0.004 * blur)
+    window = 2 * max(round(TEXTURE_REACH * view.side_px * blur), 1) + 1
+    return _smooth(cv2.medianBlur(bytes_, window).astype(np.float32), view.side_px * BRIGHTNESS_BLUR * blur)
 
 
 def _detail_strength(view: _View) -> Floats:
@@ -412,9 +426,9 @@ def _detail_strength(view: _View) -> Floats:
 
 
 def _detail(view: _View) -> Floats:
-    """Brightness between two scales, 0.2 % and 0.6 % of the picture's side."""
-    detail = _smooth(view.mean, view.side_px * 0.002) - _smooth(view.mean, view.side_px * 0.006)
-    return np.where(_erode(view.seen, 0.012 * view.side_px), detail, 0.0)
+    """Brightness between two scales; none at the rim of the padding, where the fill would make some."""
+    fine, rough = (_smooth(view.mean, view.side_px * blur) for blur in DETAIL_BLURS)
+    return np.where(_erode(view.seen, 2 * DETAIL_BLURS[1] * view.side_px), fine - rough, 0.0)
 
 
 def _brightness(view: _View, blur: float) -> Floats:
@@ -527,6 +541,8 @@ BEND_RAMP = (0.45, 0.15)
 """Standard deviation of the middle line from a straight one, in mean widths, over the middle of the length."""
 OFFSET_RAMP = (0.8, 0.3)
 """Distance of the middles of region and picture, in halves of the picture's shorter side."""
+FILLED_RAMP = (0.4, 0.65)
+"""Share of the outlined area that is not holes; the pillars' caps with their rings take up to 0.3."""
 BORDER_RAMP = (0.55, 0.3)
 """Share of the outline that lies on the picture's border; both ends together are about 0.25."""
 CONTRAST_RAMP = (0.4, 1.2)
@@ -566,6 +582,7 @@ class _Judge:
         if score <= to_beat:
             return 0.0
         body = cv2.drawContours(np.zeros(region.shape, np.uint8), [outline], -1, 1, cv2.FILLED).astype(bool)
+        score *= _ramp(np.count_nonzero(region) / np.count_nonzero(body), FILLED_RAMP)
         score *= _ramp(bend(body), BEND_RAMP)
         return score * self._contrast(region, body) if score > to_beat else 0.0
 
@@ -573,8 +590,8 @@ class _Judge:
         """How sharply a band inside the outline differs from a band outside, in brightness or in fine detail."""
         side_px = self.view.side_px
         outward, inward = _distance(~body), _distance(body)
-        ground_at = (outward > 0.008 * side_px) & (outward < 0.05 * side_px) & self.view.seen
-        tissue_at = region & (inward < 0.05 * side_px)
+        ground_at = (outward > HAIR * side_px) & (outward < NEAR_BAND[1] * side_px) & self.view.seen
+        tissue_at = region & (inward < NEAR_BAND[1] * side_px)
         if not ground_at.any() or not tissue_at.any():
             return 0.0
         apart = 0.0

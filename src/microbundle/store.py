@@ -1,0 +1,262 @@
+"""Keep results: one NetCDF file per movie, and tables as CSV. Output appears whole or not at all.
+
+The NetCDF file holds everything needed to continue: `load` gives the same `Analysis` back, and xarray opens it, with
+units and descriptions as attributes. A results folder is written beside its final place under a temporary name and
+renamed when it is complete; a folder that is not a result of microbundle is never replaced.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .analysis import Analysis
+from .config import Config
+from .data import Beats, Finding, Grid, Markers, Masks, Strain, TissueAxis, Tracks
+from .errors import OutputError, ResultUnreadable
+from .metrics import tables
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+RESULT = "result.nc"
+SCHEMA = 1
+"""Version of the layout of the result file; raised when a reader of the old one would be misled."""
+RC = ("row", "col")
+
+
+def save(analysis: Analysis, folder: Path | str, *, overwrite: bool = False,
+         extra: Callable[[Path], None] | None = None) -> Path:
+    """Write a result folder: `result.nc`, the CSV tables, and `settings.toml`-like provenance in the file itself.
+
+    Returns the folder. `extra` may write more files into it before it appears. Raises OutputError where the folder
+    exists and is not empty (unless `overwrite`, and it is a microbundle result), or cannot be written.
+    """
+    folder = Path(folder)
+
+    def write(into: Path) -> None:
+        save_netcdf(analysis, into / RESULT)
+        for name, table in tables(analysis).items():
+            table.to_csv(into / f"{name}.csv", index=False, float_format="%.7g", lineterminator="\n")
+        if extra is not None:
+            extra(into)
+
+    return write_whole(folder, write, overwrite=overwrite)
+
+
+def load(path: Path | str) -> Analysis:
+    """Read a result back from its folder or its NetCDF file. Raises ResultUnreadable where it is not one."""
+    import xarray as xr
+
+    path = Path(path)
+    file = path / RESULT if path.is_dir() else path
+    if not file.is_file():
+        raise ResultUnreadable(f"{path}: expected a microbundle result (a folder with {RESULT}, or that file); "
+                               "there is none")
+    try:
+        with xr.open_dataset(file, engine="h5netcdf") as data:
+            if "microbundle_schema" not in data.attrs:
+                raise ResultUnreadable(f"{file}: expected a result of microbundle; found another NetCDF file")
+            if int(data.attrs["microbundle_schema"]) != SCHEMA:
+                raise ResultUnreadable(f"{file}: expected result layout {SCHEMA}; found "
+                                       f"{data.attrs['microbundle_schema']}. Analyze the movie again with this version")
+            return _from_dataset(data.load())
+    except ResultUnreadable:
+        raise
+    except Exception as error:  # HDF5 raises many kinds on damaged files
+        raise ResultUnreadable(f"{file}: the result cannot be read: {error}") from None
+
+
+def write_whole(folder: Path, write: Callable[[Path], None], *, overwrite: bool = False) -> Path:
+    """Let `write` fill a temporary folder, and give it its name when it is complete.
+
+    Raises OutputError where the folder exists and may not be replaced, or writing fails; nothing is left then.
+    """
+    folder = Path(os.path.abspath(folder))
+    check_free(folder, overwrite)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.partial-", dir=folder.parent))
+    except OSError as error:
+        raise OutputError(f"{folder}: the results cannot be written: {error.strerror or error}") from None
+    try:
+        partial.chmod(0o755)
+        write(partial)
+        _swap(partial, folder)
+    except OSError as error:
+        raise OutputError(f"{folder}: the results cannot be written: {error.strerror or error}") from None
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return folder
+
+
+def check_free(folder: Path, overwrite: bool = False) -> None:
+    """Check that results may be written to a folder. Raises OutputError where it holds something else."""
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise OutputError(f"{folder}: expected a folder for the results; there is a file of that name")
+    if not any(folder.iterdir()):
+        return
+    if not (folder / RESULT).is_file():
+        raise OutputError(f"{folder}: expected a new or empty folder for the results; it holds other files, which "
+                          "are never replaced. Choose another with --out")
+    if not overwrite:
+        raise OutputError(f"{folder}: holds results already. Replace them with --overwrite, or choose another folder "
+                          "with --out")
+
+
+def _swap(partial: Path, folder: Path) -> None:
+    """Put the complete folder in place; an older result steps aside first, and comes back if that fails."""
+    if not folder.exists():
+        partial.rename(folder)
+        return
+    aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old-", dir=folder.parent))
+    folder.rename(aside / folder.name)
+    try:
+        partial.rename(folder)
+    except OSError:
+        (aside / folder.name).rename(folder)
+        with suppress(OSError):
+            aside.rmdir()
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def save_netcdf(analysis: Analysis, file: Path) -> None:
+    """Write a result as one NetCDF file, with the tables in groups of their own. Raises OSError."""
+    import xarray as xr
+
+    data = _to_dataset(analysis)
+    packed = {name: {"zlib": True, "complevel": 1} for name, v in data.variables.items()
+              if v.dtype.kind in "fiu" and v.size > 1000}
+    data.to_netcdf(file, engine="h5netcdf", encoding=packed)
+    for name, table in tables(analysis).items():
+        if name in ("summary", "beats", "subdomains") and len(table):
+            rows = xr.Dataset.from_dataframe(table.rename_axis("entry"))
+            rows.to_netcdf(file, engine="h5netcdf", mode="a", group=f"tables/{name}")
+
+
+def _to_dataset(a: Analysis) -> xr.Dataset:
+    import xarray as xr
+
+    out: dict[str, tuple[Any, ...]] = {}
+
+    def put(name: str, dims: tuple[str, ...], values: Any, units: str, text: str) -> None:
+        out[name] = (dims, values, {"units": units, "long_name": text})
+
+    put("image", ("image_row", "image_col"), a.image, "grey value", "relaxed reference frame")
+    put("tissue", ("image_row", "image_col"), a.masks.tissue.astype(np.uint8), "1", "1 where the pixel is tissue")
+    put("marker_reference", ("marker", "axis"), a.markers.position_px, "px", "markers in the reference frame")
+    put("position", ("frame", "marker", "axis"), a.tracks.position_px, "px", "position of each marker")
+    put("followed", ("frame", "marker"), a.tracks.ok.astype(np.uint8), "1", "0 where the marker was lost")
+    if a.tracks.forward_backward_px is not None:
+        put("forward_backward", ("marker",), a.tracks.forward_backward_px, "px",
+            "median distance by which tracking there and back misses")
+    if a.time_s is not None:
+        put("time", ("frame",), a.time_s, "s", "time of each frame")
+    b = a.beats
+    put("mean_absolute_displacement", ("frame",), b.signal_px, "px", "mean over markers of the distance from rest")
+    put("relaxed", ("frame",), b.relaxed.astype(np.uint8), "1", "1 where the tissue rests")
+    put("relaxed_position", ("marker", "axis"), b.relaxed_px, "px", "position of each marker at rest")
+    put("beat_start", ("beat",), b.start, "frame", "first frame of the beat")
+    put("beat_peak", ("beat",), b.peak, "frame", "frame of the largest displacement")
+    put("beat_stop", ("beat",), b.stop, "frame", "first frame after the beat")
+    put("beat_complete", ("beat",), b.complete.astype(np.uint8), "1", "0 where the movie cuts the beat off")
+    put("beat_relaxed_position", ("beat", "marker", "axis"), b.beat_relaxed_px, "px", "markers at rest around the beat")
+    put("grid_point", ("point", "axis"), a.grid.point_px, "px", "grid points at rest")
+    put("grid_displacement", ("frame", "point", "axis"), a.grid.displacement_px, "px", "displacement from rest")
+    if a.strain is not None:
+        s = a.strain
+        tensor = ("frame", "subdomain", "i", "j")
+        put("F", tensor, s.F, "1", "deformation gradient in the tissue's axes, [[rr, rc], [cr, cc]]")
+        put("E", tensor, s.E, "1", "Green-Lagrange strain in the tissue's axes, [[rr, rc], [cr, cc]]")
+        put("J", ("frame", "subdomain"), s.J, "1", "area ratio det F")
+        put("principal_strain", ("frame", "subdomain", "principal"), s.principal[0], "1", "smaller, larger")
+        put("principal_angle", ("frame", "subdomain"), s.principal[1], "degree",
+            "direction of the smaller principal strain from the col axis, positive towards +row")
+        put("subdomain_center", ("frame", "subdomain", "axis"), s.center_px, "px", "centre, moving with the tissue")
+        put("subdomain_corner", ("subdomain", "corner", "axis"), s.corner_px, "px", "corners at rest")
+        put("subdomain_markers", ("subdomain",), s.count, "1", "markers in the sub-domain")
+        put("subdomain_reason", ("subdomain",), np.array(s.reason, dtype=object), "", "why there is no strain, or empty")
+    coords: dict[str, Any] = {"axis": list(RC), "i": list(RC), "j": list(RC)}
+    if a.strain is not None:
+        coords["subdomain"] = list(a.strain.label)
+    return xr.Dataset(out, coords=coords, attrs=_attributes(a))
+
+
+def _attributes(a: Analysis) -> dict[str, Any]:
+    """Everything that is not an array, as JSON text where NetCDF has no type for it."""
+    known = {"um_per_px": a.um_per_px} if a.um_per_px is not None else {}
+    return {
+        "microbundle_schema": SCHEMA, "title": f"microbundle analysis of {a.name}", "name": a.name,
+        "verdict": a.verdict, **known, "um_per_px_source": a.um_per_px_source, "time_source": a.time_source,
+        "config": a.config.model_dump_json(), "versions": json.dumps(dict(a.versions)),
+        "files": json.dumps(a.files), "input_hash": a.input_hash,
+        "axis": json.dumps({f.name: np.asarray(getattr(a.masks.axis, f.name)).tolist() for f in fields(TissueAxis)}),
+        "masks": json.dumps({"method": a.masks.method, "stability": a.masks.stability}),
+        "markers": json.dumps({"reference_frame": a.markers.reference_frame, "quality": a.markers.quality,
+                               "spacing_px": a.markers.spacing_px, "coverage_px": a.markers.coverage_px}),
+        "tracks": json.dumps({"method": a.tracks.method, "reference_frame": a.tracks.reference_frame,
+                              "window_px": a.tracks.window_px}),
+        "beats": json.dumps({"noise_px": _finite(a.beats.noise_px), "method": a.beats.method}),
+        "grid_shape": list(a.grid.shape),
+        "strain": json.dumps(None if a.strain is None else {
+            "grid": a.strain.grid, "side_px": a.strain.side_px, "angle_deg": a.strain.angle_deg}),
+        "findings": json.dumps({name: [asdict(f) for f in found] for name, found in (
+            ("movie", a.movie_findings), ("masks", a.masks.findings), ("markers", a.markers.findings),
+            ("tracks", a.tracks.findings), ("beats", a.beats.findings))}),
+    }
+
+
+def _from_dataset(data: xr.Dataset) -> Analysis:
+    attr = data.attrs
+    found = {name: tuple(Finding(**f) for f in listed) for name, listed in json.loads(attr["findings"]).items()}
+
+    def get(name: str) -> Any:
+        return data[name].values
+
+    axis = {k: np.array(v) if isinstance(v, list) else v for k, v in json.loads(attr["axis"]).items()}
+    masks = Masks(get("tissue") > 0, TissueAxis(**axis), **json.loads(attr["masks"]), findings=found["masks"])
+    markers = Markers(get("marker_reference"), **json.loads(attr["markers"]), findings=found["markers"])
+    tracks = Tracks(get("position"), get("followed") > 0, **json.loads(attr["tracks"]), findings=found["tracks"],
+                    forward_backward_px=get("forward_backward") if "forward_backward" in data else None)
+    noise = json.loads(attr["beats"])
+    beats = Beats(
+        get("mean_absolute_displacement"), _number(noise["noise_px"]), get("beat_start"), get("beat_peak"),
+        get("beat_stop"), get("beat_complete") > 0, get("relaxed") > 0, get("relaxed_position"),
+        get("beat_relaxed_position"), noise["method"], found["beats"])
+    rows, cols = (int(n) for n in attr["grid_shape"])
+    about = json.loads(attr["strain"])
+    strain = None if about is None else Strain(
+        tuple(str(name) for name in get("subdomain")), tuple(about["grid"]), tuple(about["side_px"]),
+        get("subdomain_corner"), about["angle_deg"], get("subdomain_center"), get("F"), get("subdomain_markers"),
+        tuple(str(text) for text in get("subdomain_reason")))
+    return Analysis(
+        name=str(attr["name"]), image=get("image"), time_s=get("time") if "time" in data else None,
+        time_source=attr["time_source"], um_per_px=float(attr["um_per_px"]) if "um_per_px" in attr else None,
+        um_per_px_source=attr["um_per_px_source"], config=Config.model_validate_json(attr["config"]), masks=masks,
+        markers=markers, tracks=tracks, beats=beats,
+        grid=Grid(get("grid_point"), (rows, cols), get("grid_displacement")), strain=strain,
+        movie_findings=found["movie"], files=tuple(json.loads(attr["files"])), input_hash=str(attr["input_hash"]),
+        versions=json.loads(attr["versions"]),
+    )
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else value
+
+
