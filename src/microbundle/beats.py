@@ -11,7 +11,8 @@ way between peaks, and the first and last beats left out. Source: paper, "Tempor
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -87,7 +88,7 @@ def cut_signal(signal: Floats, noise: float, params: BeatParams,
 def _cut_at(smooth: Floats, noise: float, peaks: Ints) -> Cut:
     """Put the cuts into the middle of the rests around the peaks."""
     edges = [0, *(int(p) for p in peaks), len(smooth) - 1]
-    rests = [_rest(smooth, a, b, noise) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    rests = [_rest(smooth, a, b, noise) for a, b in pairwise(edges)]
     level = [float(smooth[a:b].mean()) for a, b in rests]
     inner = level[1:-1] or [min(level)]
     base, height = float(np.median(inner)), float(np.median(smooth[peaks])) - float(np.median(inner))
@@ -101,7 +102,7 @@ def _cut_at(smooth: Floats, noise: float, peaks: Ints) -> Cut:
     cuts[-1] = min(rests[-1][1], int(peaks[-1]) + fall) if whole[-1] else len(smooth)
 
     starts, stops, tops = cuts[:-1], cuts[1:], [int(p) for p in peaks]
-    complete = [bool(a and b) for a, b in zip(whole[:-1], whole[1:], strict=True)]
+    complete = [bool(a and b) for a, b in pairwise(whole)]
     pairs = [tuple(r for r, ok in ((rests[i], whole[i]), (rests[i + 1], whole[i + 1])) if ok)
              for i in range(len(tops))]
     # What is left at the ends, when it rises high enough, is part of one more beat.
@@ -157,8 +158,6 @@ def _beats(tracks: Tracks, cut: Cut, noise: float, why_none: str) -> Beats:
 
 
 def _with_findings(beats: Beats, why_none: str) -> Beats:
-    from dataclasses import replace
-
     findings: list[Finding] = []
     whole = int(beats.complete.sum())
     if whole == 0:

@@ -28,8 +28,8 @@ def contraction_signal(displacement_px: Floats, points_px: Floats, direction: Fl
     pattern = vectors[:, -1]
     signal = flat @ pattern / np.sqrt(len(x))
     if not signal.any():
-        return signal
-    return signal * _sign(_without_trend(signal[:, None])[:, 0], pattern.reshape(-1, 2), x, direction)
+        return np.zeros(len(flat))
+    return np.asarray(signal * _sign(_without_trend(signal[:, None])[:, 0], pattern.reshape(-1, 2), x, direction))
 
 
 def _without_trend(series: Floats) -> Floats:

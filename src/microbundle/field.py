@@ -29,13 +29,13 @@ def interpolate(markers_px: Floats, displacement_px: Floats, points_px: Floats, 
     points = np.atleast_2d(np.asarray(points_px, float))
     if points.ndim != 2 or points.shape[1] != 2:
         raise ValueError(f"points_px: expected shape (points, 2) in the order (row, col), found {np.shape(points_px)}")
-    usable = np.isfinite(displacement_px).all(axis=2).mean(axis=0) >= 0.5
-    usable &= np.isfinite(markers_px).all(axis=1)
+    followed = np.isfinite(displacement_px).all(axis=2).mean(axis=0) >= 0.5
+    usable: Bools = np.asarray(followed & np.isfinite(markers_px).all(axis=1))
     if usable.sum() < 3:
         raise ValueError(f"expected at least 3 markers with displacements; found {int(usable.sum())}")
     known, moved = markers_px[usable].astype(float), filled(markers_px[usable], displacement_px[:, usable])
     out = np.full((len(moved), len(points), 2), np.nan, np.float32)
-    inside = np.isfinite(points).all(axis=1) if tissue is None else inside_tissue(points, tissue)
+    inside: Bools = np.asarray(np.isfinite(points).all(axis=1)) if tissue is None else inside_tissue(points, tissue)
     if inside.any():
         spread = _local if method == "local" else _thin_plate
         out[:, inside] = spread(known, moved, points[inside])
@@ -58,7 +58,7 @@ def filled(markers_px: Floats, displacement_px: Floats) -> Floats:
     """Fill missing displacements (T, N, 2) with the mean of the nearest markers that are known in that frame."""
     from scipy.spatial import cKDTree
 
-    missing = ~np.isfinite(displacement_px).all(axis=2)
+    missing: Bools = np.asarray(~np.isfinite(displacement_px).all(axis=2))
     if not missing.any():
         return displacement_px
     out = displacement_px.copy()
@@ -82,7 +82,7 @@ def local_weights(markers: Floats, points: Floats) -> tuple[Floats, np.ndarray]:
     from scipy.spatial import cKDTree
 
     near = min(AROUND, len(markers))
-    distance, index = cKDTree(markers).query(points, k=range(1, near + 1))
+    distance, index = map(np.asarray, cKDTree(markers).query(points, k=range(1, near + 1)))
     width = 0.6 * distance[:, -1:] + 1e-9
     weight = np.exp(-0.5 * (distance / width) ** 2)
     offset = (markers[index] - points[:, None]) / width[..., None]

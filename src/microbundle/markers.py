@@ -52,7 +52,8 @@ def _even_markers(movie: Movie, tissue: Bools, reference_frame: int, config: Con
     params = config.markers
     scaling = movie_scaling(movie, tissue)
     image = scaling(movie.frames[reference_frame])
-    inside = cv2.erode(scaling.tissue.astype(np.uint8), np.ones((2 * EDGE_PX + 1,) * 2, np.uint8))
+    brush = np.ones((2 * EDGE_PX + 1,) * 2, np.uint8)
+    inside = np.asarray(cv2.erode(scaling.tissue.astype(np.uint8), brush), np.uint8)
     corner = cv2.cornerMinEigenVal(image, BLOCK_PX)[inside > 0]
     if corner.size == 0 or corner.max() <= 0:
         raise NoTexture(f"{movie.name}: expected texture in the tissue; found {corner.size} pixels without any. "

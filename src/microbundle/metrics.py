@@ -53,22 +53,24 @@ METRICS: tuple[Metric, ...] = (
            "frames by a parabola."),
     Metric("beat_rate", "rate", "beat", "1 / beat_period."),
     Metric("beat_rate", "rate_per_min", "beat", "60 / beat_period in seconds."),
-    Metric("amplitude", "length", "beat", "Mean absolute displacement at the peak less its mean over the beat's relaxed "
-           "frames; displacement is taken from the beat's own relaxed state."),
-    Metric("peak_time", "time", "beat", "Time of the largest mean absolute displacement, between frames by a parabola."),
+    Metric("amplitude", "length", "beat", "Mean absolute displacement at the peak less its mean over the beat's "
+           "relaxed frames; displacement is taken from the beat's own relaxed state."),
+    Metric("peak_time", "time", "beat", "Time of the largest mean absolute displacement, between frames by a "
+           "parabola."),
     Metric("beat_drift", "length", "beat", "Movement of this beat's relaxed state from the movie's."),
     Metric("e_cc_peak", "number", "beat", "Most negative value over the beat of the mean E_cc of all sub-domains."),
     Metric("e_cc_min", "number", "beat", "Most negative E_cc of any sub-domain and frame of the beat."),
     Metric("e_cc_max", "number", "beat", "Most positive E_cc of any sub-domain and frame of the beat."),
     Metric("e_cc_heterogeneity", "number", "beat", "Standard deviation of E_cc over sub-domains at the frame of "
            "e_cc_peak."),
-    Metric("extending_fraction", "number", "beat", "Share of sub-domains with positive E_cc at the frame of e_cc_peak."),
+    Metric("extending_fraction", "number", "beat", "Share of sub-domains with positive E_cc at the frame of "
+           "e_cc_peak."),
     Metric("synchrony_sd", "time", "beat", "Standard deviation over sub-domains of the time of their largest |E_cc|."),
     Metric("synchrony_sd_of_period", "number", "beat", "synchrony_sd / beat_period."),
     Metric("synchrony_sd_null", "time", "beat", "Value of synchrony_sd when the sub-domains' traces are shifted in "
            "time at random (mean of 200)."),
-    Metric("synchrony_correlation", "number", "beat", "Mean correlation of each sub-domain's |E_cc| trace with the mean "
-           "of all."),
+    Metric("synchrony_correlation", "number", "beat", "Mean correlation of each sub-domain's |E_cc| trace with the "
+           "mean of all."),
     Metric("synchrony_correlation_null", "number", "beat", "Value of synchrony_correlation for traces shifted in time "
            "at random (mean of 200)."),
     Metric("markers", "number", "subdomain", "Markers in the sub-domain."),
@@ -82,8 +84,8 @@ METRICS: tuple[Metric, ...] = (
     Metric("E_1_angle", "angle", "subdomain", "Direction of E_1 from the col axis, positive towards +row."),
     Metric("areal_strain", "number", "subdomain", "det F - 1 at the beat's peak frame."),
     Metric("shear_max", "number", "subdomain", "Largest shear (E_2 - E_1) / 2 at the beat's peak frame."),
-    Metric("mean_absolute_displacement", "length", "frame", "Mean over markers of the distance from the movie's relaxed "
-           "state."),
+    Metric("mean_absolute_displacement", "length", "frame", "Mean over markers of the distance from the movie's "
+           "relaxed state."),
     Metric("time", "time", "frame", "Time of the frame."),
 )
 

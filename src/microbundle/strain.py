@@ -62,7 +62,7 @@ def measure_strain(tracks: Tracks, beats: Beats, masks: Masks, config: Config) -
     F = np.full((count, tiles, 2, 2), np.nan)
     shift = np.full((count, tiles, 2), np.nan)
     turn = rotation(tiling.direction)
-    usable = tracks.kept & np.isfinite(beats.relaxed_px).all(axis=1)
+    usable: Bools = np.asarray(tracks.kept & np.isfinite(beats.relaxed_px).all(axis=1))
     home = to_tissue(beats.relaxed_px, tiling.center, tiling.direction)
     number, reason = np.zeros(tiles, int), [""] * tiles
     groups = _paper_groups(beats) if config.method == "paper" else _groups(beats, count)
@@ -73,7 +73,7 @@ def measure_strain(tracks: Tracks, beats: Beats, masks: Masks, config: Config) -
             at = to_tissue(relaxed, tiling.center, tiling.direction)
             if config.method == "paper":  # membership is decided anew at each beat's first frame
                 members = usable & _inside(at, box)
-            known = members & np.isfinite(at).all(axis=1)
+            known = np.asarray(members & np.isfinite(at).all(axis=1))
             if _why_not(at[known], tiling.side, config.strain):
                 continue
             x = to_tissue(tracks.position_px[frames][:, known], tiling.center, tiling.direction)

@@ -38,7 +38,7 @@ PAPER_ROUNDS = 15
 
 
 def track_markers(movie: Movie, masks: Masks, markers: Markers, config: Config,
-                  tell: Callable[[float], None] = lambda done: None) -> Tracks:
+                  tell: Callable[[float], None]) -> Tracks:
     """Follow the markers through all frames; `tell` hears the share of frames done."""
     if config.method == "paper":
         return _paper_tracks(movie, markers, config.tracking.window_px, tell)
@@ -111,7 +111,7 @@ def _neighbours(points: Floats) -> Ints:
     """Indices (N, 8) of each point's nearest others; none where there are too few points to compare."""
     if len(points) <= 2 * NEIGHBOURS:
         return np.empty((0, NEIGHBOURS), int)
-    return np.asarray(cKDTree(points).query(points, NEIGHBOURS + 1)[1][:, 1:])
+    return np.asarray(cKDTree(points).query(points, NEIGHBOURS + 1)[1])[:, 1:]
 
 
 def _outliers(moved: Floats, good: Bools, neighbours: Ints) -> Bools:
@@ -150,8 +150,8 @@ def _paper_pass(movie: Movie, start: Floats, window: int, tell: Callable[[float]
     last = stretch_each(movie.frames[0])
     for t in range(1, movie.count):
         image = stretch_each(movie.frames[t])
-        at, _, _ = cv2.calcOpticalFlowPyrLK(last, image, at, None, winSize=(window, window), maxLevel=PAPER_PYRAMID,
-                                            criteria=PAPER_STOP)
+        at, _, _ = cv2.calcOpticalFlowPyrLK(last, image, at, at.copy(), winSize=(window, window),
+                                            maxLevel=PAPER_PYRAMID, criteria=PAPER_STOP)
         position[t], last = at[:, ::-1], image
         tell((t + 1) / movie.count)
     return position
