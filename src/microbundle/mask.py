@@ -4,9 +4,10 @@ Four methods are the paper's (MicroBundleCompute, tissue segmentation): Otsu's t
 a frame, and on the darkest or brightest value that each pixel takes. They answer for any picture that is not blank.
 
 The automatic default proposes many regions: dark ones (with and without a correction of uneven light), textured ones
-and bright ones, each also cut free of what it touches by openings. It asks of every region what one asks of a microbundle: a
-strip of plausible size near the middle of the picture, compact, not hanging on the picture's border, and different
-from the ground around it. The most plausible region wins; if none is plausible enough, it refuses.
+and bright ones, each also cut free of what it touches by openings. It asks of every region what one asks of a
+microbundle: a strip of plausible size near the middle of the picture, compact, straight, not hanging on the picture's
+border, and different from the ground beside it. The most plausible region wins; if none is plausible enough, it
+refuses. The bright caps of pillars are then cut out.
 
 Stability is the smallest overlap with the masks that a shifted threshold, a stronger smoothing, and the first and the
 last third of the movie give.
@@ -53,6 +54,8 @@ DETAIL_BLURS = (0.002, 0.006)
 """Fine detail is what lies between these two smoothings: cells and fibres, not shading."""
 TEXTURE_REACH = 0.016
 """Half a window of the median that says how strong the detail is: a few fibres wide."""
+TEXTURE_BLUR = 0.004
+"""Smoothing of that median, which has square corners."""
 OPENINGS = (0.0, 0.008, 0.016, 0.032)
 """Radii of the openings that cut a region free of its neighbours, as shares of the picture's side."""
 STRONGER_BLUR = 1.5
@@ -417,7 +420,7 @@ def _texture(view: _View, blur: float) -> Floats:
     low, high = np.percentile(strength, [1, 99])
     bytes_ = (np.clip((strength - low) / max(high - low, 1e-9), 0, 1) * 255).astype(np.uint8)  # cv2's wide median
     window = 2 * max(round(TEXTURE_REACH * view.side_px * blur), 1) + 1
-    return _smooth(cv2.medianBlur(bytes_, window).astype(np.float32), view.side_px * BRIGHTNESS_BLUR * blur)
+    return _smooth(cv2.medianBlur(bytes_, window).astype(np.float32), view.side_px * TEXTURE_BLUR * blur)
 
 
 def _detail_strength(view: _View) -> Floats:
