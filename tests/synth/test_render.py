@@ -1,5 +1,8 @@
 """The truth of a synthetic movie is proved here: what the frames show is where the motion says it is."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -17,7 +20,7 @@ from microbundle.synth.render import (
     render_movie,
     with_noise,
 )
-from microbundle.synth.texture import Gratings
+from microbundle.synth.texture import Gratings, band_limited
 
 SHAPE = (128, 160)
 PEAK = 12
@@ -65,6 +68,16 @@ def test_frames_show_the_truth(peak_px):
     texture, motion = Gratings.random(40, highest=0.25, seed=1), tissue(peak_px, scale=4.0)
     frame = Rendered(Shrunk(texture, 4), motion, (512, 640)).perfect(PEAK)
     assert np.abs(misplaced_px(frame, texture, motion, PEAK, scale=4)).max() < 2e-4
+
+
+@pytest.mark.skipif("MICROBUNDLE_DATA" not in os.environ, reason="MICROBUNDLE_DATA does not name the folder of movies")
+def test_a_real_picture_shows_the_truth_too():
+    import tifffile
+
+    frame = min(Path(os.environ["MICROBUNDLE_DATA"]).glob("type1_bright/movie/*.TIF"))
+    texture = band_limited(tifffile.imread(frame)[200:328, 170:330] / 65535.0)
+    drawn = Rendered(texture, tissue(3.0), SHAPE).perfect(PEAK)
+    assert np.abs(misplaced_px(drawn, texture, tissue(3.0), PEAK)).max() < 0.01
 
 
 def test_a_wrong_truth_is_noticed():

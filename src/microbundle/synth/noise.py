@@ -103,10 +103,6 @@ class NoiseModel:
         return np.asarray(counts.astype(np.uint8 if self.bits == 8 else np.uint16))
 
 
-Camera = NoiseModel
-"""The same thing under its other name."""
-
-
 def perlin(shape: tuple[int, ...], octaves: float, seed: int | tuple[int, ...]) -> Floats:
     """Make one layer of gradient noise (R, C) that runs from 0 to 1, with `octaves` lattice cells along each side."""
     if not octaves > 0:

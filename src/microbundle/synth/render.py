@@ -156,8 +156,7 @@ def material_points(motion: Motion, shape: tuple[int, int], frame: int, toleranc
         nodes = finer
     # The splines' faint ringing must not make still ground flicker by a count.
     faint = (np.abs(moved).max(axis=-1) < tolerance_px) & moved.any(axis=-1)
-    still = ~motion.displacement_px(places[faint], frame).any(axis=1)
-    moved[faint] = np.where(still[:, None], 0.0, moved[faint])
+    moved[faint] *= motion.displacement_px(places[faint], frame).any(axis=1, keepdims=True)
     return places + moved
 
 
@@ -312,7 +311,7 @@ def beating_tissue(shape: tuple[int, int] = (256, 256), frames: int = 60, fps: f
     """Make a movie of a beating bundle out of nothing but a seed, as `microbundle demo` does.
 
     The tissue is painted (`procedural_tissue`), its pillars are pulled inward by `peak_px`, and it beats 1.25 times a
-    second unless a `rhythm` is given. `noise` defaults to that of a good camera; `NoiseModel()` gives a clean movie.
+    second unless a `rhythm` is given, which then has its own number of frames. `noise` defaults to that of a good camera; `NoiseModel()` gives a clean movie.
     """
     picture = procedural_tissue(shape, seed, angle_deg=angle_deg)
     rhythm = rhythm or Rhythm(frames, fps / 1.25, amplitude_variation=0.05, period_variation=0.03, seed=seed)
