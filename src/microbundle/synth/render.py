@@ -311,7 +311,8 @@ def beating_tissue(shape: tuple[int, int] = (256, 256), frames: int = 60, fps: f
     """Make a movie of a beating bundle out of nothing but a seed, as `microbundle demo` does.
 
     The tissue is painted (`procedural_tissue`), its pillars are pulled inward by `peak_px`, and it beats 1.25 times a
-    second unless a `rhythm` is given, which then has its own number of frames. `noise` defaults to that of a good camera; `NoiseModel()` gives a clean movie.
+    second unless a `rhythm` is given, which then has its own number of frames. `noise` defaults to that of a good
+    camera; `NoiseModel()` gives a clean movie.
     """
     picture = procedural_tissue(shape, seed, angle_deg=angle_deg)
     rhythm = rhythm or Rhythm(frames, fps / 1.25, amplitude_variation=0.05, period_variation=0.03, seed=seed)
