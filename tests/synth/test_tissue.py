@@ -186,6 +186,18 @@ def test_motion_is_smooth_consistent_and_close_to_the_elements(coarse):
     assert np.sqrt(((found - coarse.displacement_um[PEAK, nodes, :2]) ** 2).mean()) < 0.5
 
 
+def test_value_and_operator_are_one_spline(coarse):
+    surface = coarse.surface
+    at = np.random.default_rng(2).uniform(-1500, 3500, (2000, 2))
+    c = surface.coefficient_um[PEAK, :, 0]
+    np.testing.assert_allclose(surface.grid.value(c, at), surface.grid.operator(at) @ c, atol=1e-11)
+
+
+def test_motion_refuses_frames_it_does_not_have(coarse):
+    with pytest.raises(IndexError, match="frames 0 to 2"):
+        coarse.motion(np.zeros(3), UM).displacement_px(np.zeros((1, 2)), 3)
+
+
 def test_motion_knows_its_origin_and_goes_on_beyond_the_tissue(coarse):
     px = np.array([[150.0, 200.0], [150.0, 300.0]])
     here = coarse.motion(np.array([0.05]), UM).displacement_px(px, 0)

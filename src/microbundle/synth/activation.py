@@ -55,7 +55,10 @@ def read_activation(path: Path | str) -> Floats:
 
 @dataclass(frozen=True)
 class Fibres:
-    """Direction of the fibres: an angle from the column axis, positive clockwise on the screen (towards +row)."""
+    """Direction of the fibres: an angle from the column axis, positive clockwise on the screen (towards +row).
+
+    For a tissue that lies turned in the picture, add its angle to both numbers.
+    """
 
     first_deg: float = 9.33
     """At the smallest column, or on the upper surface."""
