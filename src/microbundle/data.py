@@ -337,6 +337,11 @@ class Grid:
         _expect("displacement_px", self.displacement_px, (None, self.shape[0] * self.shape[1], 2))
 
 
+def known(points_px: Floats) -> Bools:
+    """Tell which points (..., 2) have both coordinates: (...)."""
+    return np.asarray(np.isfinite(points_px[..., 0]) & np.isfinite(points_px[..., 1]), dtype=bool)
+
+
 def _expect(name: str, array: Any, shape: tuple[int | None, ...]) -> None:
     found = np.shape(array)
     if len(found) != len(shape) or any(w is not None and w != f for w, f in zip(shape, found, strict=True)):

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from .data import Bools, Floats
+from .data import Bools, Floats, known
 
 AROUND = 16
 CLOSE_PX = 3
@@ -29,16 +29,15 @@ def interpolate(markers_px: Floats, displacement_px: Floats, points_px: Floats, 
     points = np.atleast_2d(np.asarray(points_px, float))
     if points.ndim != 2 or points.shape[1] != 2:
         raise ValueError(f"points_px: expected shape (points, 2) in the order (row, col), found {np.shape(points_px)}")
-    followed = np.isfinite(displacement_px).all(axis=2).mean(axis=0) >= 0.5
-    usable: Bools = np.asarray(followed & np.isfinite(markers_px).all(axis=1))
+    usable = np.asarray((known(displacement_px).mean(axis=0) >= 0.5) & known(markers_px))
     if usable.sum() < 3:
         raise ValueError(f"expected at least 3 markers with displacements; found {int(usable.sum())}")
-    known, moved = markers_px[usable].astype(float), filled(markers_px[usable], displacement_px[:, usable])
+    markers, moved = markers_px[usable].astype(float), filled(markers_px[usable], displacement_px[:, usable])
     out = np.full((len(moved), len(points), 2), np.nan, np.float32)
-    inside: Bools = np.asarray(np.isfinite(points).all(axis=1)) if tissue is None else inside_tissue(points, tissue)
+    inside = known(points) if tissue is None else inside_tissue(points, tissue)
     if inside.any():
         spread = _local if method == "local" else _thin_plate
-        out[:, inside] = spread(known, moved, points[inside])
+        out[:, inside] = spread(markers, moved, points[inside])
     return out
 
 
@@ -48,8 +47,7 @@ def inside_tissue(points_px: Floats, tissue: Bools) -> Bools:
 
     closed = np.pad(tissue, 2 * CLOSE_PX)
     closed = binary_closing(closed, iterations=CLOSE_PX)[2 * CLOSE_PX:-2 * CLOSE_PX, 2 * CLOSE_PX:-2 * CLOSE_PX]
-    known = np.isfinite(points_px).all(axis=1)
-    row, col = np.rint(np.where(known[:, None], points_px, -1)).astype(int).T
+    row, col = np.rint(np.where(known(points_px)[:, None], points_px, -1)).astype(int).T
     within = (row >= 0) & (col >= 0) & (row < tissue.shape[0]) & (col < tissue.shape[1])
     return np.asarray(within & closed[np.where(within, row, 0), np.where(within, col, 0)])
 
@@ -58,7 +56,7 @@ def filled(markers_px: Floats, displacement_px: Floats) -> Floats:
     """Fill missing displacements (T, N, 2) with the mean of the nearest markers that are known in that frame."""
     from scipy.spatial import cKDTree
 
-    missing: Bools = np.asarray(~np.isfinite(displacement_px).all(axis=2))
+    missing = ~known(displacement_px)
     if not missing.any():
         return displacement_px
     out = displacement_px.copy()

@@ -18,7 +18,7 @@ import numpy as np
 
 from .axis import largest_region
 from .config import Config, StrainParams
-from .data import Beats, Bools, Floats, Ints, Masks, Strain, Tracks
+from .data import Beats, Bools, Floats, Ints, Masks, Strain, Tracks, known
 from .errors import CannotMeasure
 from .geometry import rotation, to_image, to_tissue
 from .published import paper_box, paper_frame
@@ -62,7 +62,7 @@ def measure_strain(tracks: Tracks, beats: Beats, masks: Masks, config: Config) -
     F = np.full((count, tiles, 2, 2), np.nan)
     shift = np.full((count, tiles, 2), np.nan)
     turn = rotation(tiling.direction)
-    usable: Bools = np.asarray(tracks.kept & np.isfinite(beats.relaxed_px).all(axis=1))
+    usable = tracks.kept & known(beats.relaxed_px)
     home = to_tissue(beats.relaxed_px, tiling.center, tiling.direction)
     number, reason = np.zeros(tiles, int), [""] * tiles
     groups = _paper_groups(beats) if config.method == "paper" else _groups(beats, count)
@@ -73,11 +73,11 @@ def measure_strain(tracks: Tracks, beats: Beats, masks: Masks, config: Config) -
             at = to_tissue(relaxed, tiling.center, tiling.direction)
             if config.method == "paper":  # membership is decided anew at each beat's first frame
                 members = usable & _inside(at, box)
-            known = np.asarray(members & np.isfinite(at).all(axis=1))
-            if _why_not(at[known], tiling.side, config.strain):
+            seen = members & known(at)
+            if _why_not(at[seen], tiling.side, config.strain):
                 continue
-            x = to_tissue(tracks.position_px[frames][:, known], tiling.center, tiling.direction)
-            F[frames, s], shift[frames, s] = fit_gradient(at[known], x, config.strain.min_markers)
+            x = to_tissue(tracks.position_px[frames][:, seen], tiling.center, tiling.direction)
+            F[frames, s], shift[frames, s] = fit_gradient(at[seen], x, config.strain.min_markers)
     middle = to_image(np.stack([boxes[:, :2].mean(axis=1), boxes[:, 2:].mean(axis=1)], axis=1),
                       tiling.center, tiling.direction)
     r0, r1, c0, c1 = boxes.T
@@ -95,7 +95,7 @@ def fit_gradient(X: Floats, x: Floats, min_markers: int = 3) -> tuple[Floats, Fl
 
     Points that are missing (NaN) in a frame are left out of that frame; with fewer than `min_markers` it is NaN.
     """
-    seen = np.isfinite(x).all(axis=2)
+    seen = known(x)
     n = seen.sum(axis=1)
     weight = seen[..., None] / np.maximum(n, 1)[:, None, None]
     x = np.where(seen[..., None], x, 0.0)

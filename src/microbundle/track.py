@@ -150,8 +150,9 @@ def _paper_pass(movie: Movie, start: Floats, window: int, tell: Callable[[float]
     last = stretch_each(movie.frames[0])
     for t in range(1, movie.count):
         image = stretch_each(movie.frames[t])
-        at, _, _ = cv2.calcOpticalFlowPyrLK(last, image, at, at.copy(), winSize=(window, window),
-                                            maxLevel=PAPER_PYRAMID, criteria=PAPER_STOP)
+        found, _, _ = cv2.calcOpticalFlowPyrLK(last, image, at, at.copy(), winSize=(window, window),
+                                               maxLevel=PAPER_PYRAMID, criteria=PAPER_STOP)
+        at = np.asarray(found, np.float32)
         position[t], last = at[:, ::-1], image
         tell((t + 1) / movie.count)
     return position
