@@ -1,4 +1,4 @@
-"""The tissue's axis, length and widths on drawn masks, and the published tool's box on its own mask."""
+"""The tissue's axis, length and widths on drawn masks, and on a real one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from microbundle.axis import bend, fill_holes, largest_region, measure_axis, paper_axis
+from microbundle.axis import bend, fill_holes, largest_region, measure_axis
 
 GOLDEN = os.environ.get("MICROBUNDLE_GOLDEN")
 needs_golden = pytest.mark.skipif(GOLDEN is None, reason="MICROBUNDLE_GOLDEN does not name the golden arrays' folder")
@@ -98,8 +98,6 @@ def test_given_angle_wins() -> None:
 def test_empty_mask_is_refused() -> None:
     with pytest.raises(ValueError, match="empty"):
         measure_axis(np.zeros((30, 30), bool))
-    with pytest.raises(ValueError, match="contour"):
-        paper_axis(np.zeros((60, 60), bool))
 
 
 def test_single_pixel_has_an_axis() -> None:
@@ -112,37 +110,7 @@ def test_masks_are_left_alone() -> None:
     mask = np.ones((60, 90), bool)
     before = mask.copy()
     measure_axis(mask)
-    paper_axis(mask)
     np.testing.assert_array_equal(mask, before)
-
-
-def test_paper_box_of_a_rectangle() -> None:
-    mask = np.zeros((120, 200), bool)
-    mask[40:81, 30:171] = True
-    center, direction, width_px = paper_axis(mask)
-    np.testing.assert_allclose(center, (60, 100), atol=1)
-    np.testing.assert_allclose(np.abs(direction), (0, 1), atol=0.01)
-    assert width_px == pytest.approx(40, abs=2)
-
-
-def test_paper_box_takes_the_highest_contour() -> None:
-    mask = np.zeros((160, 200), bool)
-    mask[60:120, 30:170] = True
-    mask[15:45, 90:100] = True  # a stray upright piece above the tissue
-    _, direction, _ = paper_axis(mask)
-    assert abs(direction[0]) == pytest.approx(1)
-    assert measure_axis(mask).angle_deg == pytest.approx(0)
-
-
-@needs_golden
-def test_paper_axis_matches_the_published_tool() -> None:
-    folder = Path(str(GOLDEN))
-    provided = np.load(folder / "mbc_masks.npz")["provided"] > 0
-    center, direction, width_px = paper_axis(provided)
-    expected = np.load(folder / "mbc_rotated.npz")["rot_info"]
-    np.testing.assert_allclose(center, expected[0], atol=0.5)
-    np.testing.assert_allclose(direction, expected[1], atol=1e-6)
-    assert width_px == float(np.load(folder / "mbc_tracks.npz")["tissue_info"])
 
 
 @needs_golden

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from microbundle.config import MaskParams
 from microbundle.data import Masks, Movie
 from microbundle.errors import ConfigError, MaskUnusable, NoTissue
-from microbundle.mask import find_masks, otsu, overlap
+from microbundle.mask import find_masks, overlap
+from microbundle.threshold import otsu
 
 DATA = os.environ.get("MICROBUNDLE_DATA")
 GOLDEN = os.environ.get("MICROBUNDLE_GOLDEN")

@@ -66,7 +66,8 @@ def _coarse_signal(movie: Movie, masks: Masks, scaling: Scaling, frames: np.ndar
         return None
     points, moved, ok = found.reshape(-1, 2), [], []
     for t in frames:
-        to, status, _ = cv2.calcOpticalFlowPyrLK(first, half(int(t)), points, points.copy(), winSize=(15, 15), maxLevel=3)
+        to, status, _ = cv2.calcOpticalFlowPyrLK(first, half(int(t)), points, points.copy(), winSize=(15, 15),
+                                                 maxLevel=3)
         moved.append(to - points)
         ok.append(status.ravel() > 0)
     followed = np.array(ok)
