@@ -341,10 +341,17 @@ def test_single_frames_at_other_sizes(name: str, width: float, scale: float) -> 
 @needs_data
 @pytest.mark.parametrize("name", ["type1_fail", "type2_fail"])
 @pytest.mark.parametrize("lifted", [0, 100])
-def test_frames_that_show_no_tissue_are_refused(name: str, lifted: int) -> None:
+@pytest.mark.parametrize(("turn", "border"), [(0, cv2.BORDER_CONSTANT), (20, cv2.BORDER_CONSTANT),
+                                              (43, cv2.BORDER_CONSTANT), (43, cv2.BORDER_REPLICATE)])
+def test_frames_that_show_no_tissue_are_refused(name: str, lifted: int, turn: int, border: int) -> None:
     frame = np.minimum(single(name), 65535 - lifted) + np.uint16(lifted)
     with pytest.raises(NoTissue, match="upply a tissue mask"):
-        auto(frame[None])
+        auto(turned(frame, turn, border)[None])
+
+
+def test_blank_frames_are_refused_for_what_they_are() -> None:
+    with pytest.raises(NoTissue, match="one single brightness"):
+        auto(np.full((3, 64, 64), 500, np.uint16))
 
 
 @needs_golden
