@@ -47,8 +47,8 @@ def test_perlin_noise_has_its_range_cells_and_place():
     assert noise.max() == 1
     np.testing.assert_array_equal(noise, perlin((180, 120), 20, (3, 1)))
     assert np.abs(noise - perlin((180, 120), 20, (3, 2))).mean() > 0.05
-    # A cell is 9 px by 6 px. Gradient noise is 0 at every lattice point, so all those pixels have one brightness.
-    assert np.ptp(noise[::9, ::6]) < 1e-12
+    # A cell is 9 px by 9 px. Gradient noise is 0 at every lattice point, so all those pixels have one brightness.
+    assert np.ptp(noise[::9, ::9]) < 1e-12
     for octaves in (18, 40):
         image = perlin((256, 256), octaves, 5)
         power = np.abs(np.fft.fft2(image - image.mean())) ** 2

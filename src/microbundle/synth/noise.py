@@ -6,7 +6,7 @@ same in whatever order and however often frames are made. Brightness runs from 0
 shot noise, read noise, quantisation.
 
 Perlin noise follows the paper (S1 Appendix, and the published `Add_Noise.py`): one layer of gradient noise [Perlin
-1985] with `octaves` lattice cells along each side of the picture, stretched to run from 0 to 1 and added with
+1985] with `octaves` square lattice cells along the picture's longer side, stretched to run from 0 to 1 and added with
 `ratio` times the picture's largest brightness, a new pattern in every frame. The published script covers a region of
 about 90 pixels with 18 to 40 cells, thus 2.3 to 5 pixels a cell; keep the pixels per cell when the picture is larger.
 """
@@ -34,7 +34,7 @@ class NoiseModel:
     perlin_ratio: float = 0.0
     """Height of the Perlin noise as a share of the picture's largest brightness; the paper uses 0.02 to 0.12."""
     perlin_octaves: float = 40.0
-    """Lattice cells along each side of the picture; the paper uses 18 to 40."""
+    """Lattice cells along the longer side of the picture; the paper uses 18 to 40 on square pictures."""
     full_well_electrons: float | None = None
     """Electrons at full scale, which set the shot noise; None for none. 10 000 gives 0.7 % of a grey of 0.5 full scale
     its square root, as scientific cameras do."""
@@ -104,7 +104,7 @@ class NoiseModel:
 
 
 def perlin(shape: tuple[int, ...], octaves: float, seed: int | tuple[int, ...]) -> Floats:
-    """Make one layer of gradient noise (R, C) that runs from 0 to 1, with `octaves` lattice cells along each side."""
+    """Make one layer of gradient noise (R, C) that runs from 0 to 1, with `octaves` square cells along the longer side."""
     if not octaves > 0:
         raise ValueError(f"octaves: expected more than 0, found {octaves}")
     entropy = [seed, 35] if isinstance(seed, int) else [*seed, 35]
@@ -113,7 +113,7 @@ def perlin(shape: tuple[int, ...], octaves: float, seed: int | tuple[int, ...]) 
     slope = rng.uniform(-1, 1, (2, cells + 1, cells + 1))
 
     # Along each side: the lattice line before each pixel, the distance past it, and the fading weight of the next.
-    axes = [np.arange(n) * (octaves / n) for n in shape]
+    axes = [np.arange(n) * (octaves / max(shape)) for n in shape]
     (i, j) = (a.astype(int) for a in axes)
     (y, x) = (a - a.astype(int) for a in axes)
     (v, u) = (t**3 * (10 - 15 * t + 6 * t**2) for t in (y, x))
