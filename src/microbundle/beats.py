@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from .config import BeatParams, Config
-from .contraction import contraction_signal, frame_noise
+from .contraction import contraction_signal, frame_noise, without_trend
 from .data import Beats, Bools, Finding, Floats, Ints, Masks, Movie, Tracks
 
 SMALLEST_SHARE = 0.25
@@ -25,7 +25,8 @@ SMALLEST_SHARE = 0.25
 REST_SHARE = 0.1
 """The tissue rests where the signal is within this share of the beat's height above its lowest point."""
 CUT_SHARE = 0.3
-"""A beat is cut off by the movie's end where the signal there is above this share of the usual height."""
+"""A beat is cut off by the movie's end where the signal there is above this share of the usual height over the rests
+nearby."""
 SMALLEST_PX = 0.01
 """Motion below this cannot be measured with 8-bit tracking on any movie seen so far."""
 
@@ -69,7 +70,7 @@ def cut_signal(signal: Floats, noise: float, params: BeatParams,
     if len(signal) < 5:
         return none, f"the movie has only {len(signal)} frames"
     smooth = np.convolve(np.pad(signal, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
-    low, high = np.quantile(smooth, [0.02, 0.98])
+    low, high = np.quantile(without_trend(smooth[:, None]), [0.02, 0.98])
     stands_out = max(params.noise_factor * noise, params.min_amplitude_px, SMALLEST_PX)
     if smooth.max() - smooth.min() < stands_out:
         return none, (f"no motion above the noise was found: the signal's range is "
@@ -90,9 +91,9 @@ def _cut_at(smooth: Floats, noise: float, peaks: Ints) -> Cut:
     edges = [0, *(int(p) for p in peaks), len(smooth) - 1]
     rests = [_rest(smooth, a, b, noise) for a, b in pairwise(edges)]
     level = [float(smooth[a:b].mean()) for a, b in rests]
-    inner = level[1:-1] or [min(level)]
-    base, height = float(np.median(inner)), float(np.median(smooth[peaks])) - float(np.median(inner))
-    whole = [lvl - base <= CUT_SHARE * height for lvl in level]
+    base = _local_base(level)
+    height = float(np.median([smooth[p] - 0.5 * (a + b) for p, (a, b) in zip(peaks, pairwise(base), strict=True)]))
+    whole = [lvl - low <= CUT_SHARE * height for lvl, low in zip(level, base, strict=True)]
 
     cuts = [(a + b) // 2 for a, b in rests]
     rise = int(np.median([p - c for p, c in zip(peaks[1:], cuts[1:-1], strict=True)] or [peaks[0] - rests[0][0]]))
@@ -108,15 +109,22 @@ def _cut_at(smooth: Floats, noise: float, peaks: Ints) -> Cut:
     # What is left at the ends, when it rises high enough, is part of one more beat.
     for first, stop, side in ((0, starts[0], 0), (stops[-1], len(smooth), -1)):
         part = smooth[first:stop]
-        if len(part) > 1 and part.max() - base > CUT_SHARE * height:
+        if len(part) > 1 and part.max() - base[side] > CUT_SHARE * height:
             where = 0 if side == 0 else len(tops)
             starts.insert(where, first)
             stops.insert(where, stop)
             tops.insert(where, first + int(np.argmax(part)))
             complete.insert(where, False)
             pairs.insert(where, (rests[side],) if whole[side] else ())
-    near = [pair or (rests[min(range(len(rests)), key=lambda i: level[i])],) for pair in pairs]
-    return Cut(starts, tops, stops, complete, near)
+    lowest = rests[int(np.argmin(np.subtract(level, base)))]
+    return Cut(starts, tops, stops, complete, [pair or (lowest,) for pair in pairs])
+
+
+def _local_base(level: list[float]) -> list[float]:
+    """Level at which the tissue rests around each rest: the median of those next to it that lie between two peaks, for
+    the ends may be cut off, and a stage may drift."""
+    inner = level[1:-1] or [min(level)]
+    return [float(np.median(inner[min(max(i - 3, 0), len(inner) - 1):i + 2])) for i in range(len(level))]
 
 
 def _rest(smooth: Floats, first: int, last: int, noise: float) -> tuple[int, int]:

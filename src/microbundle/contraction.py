@@ -13,6 +13,8 @@ import numpy as np
 from .data import Floats
 
 MAX_POINTS = 250
+CLEARLY_REPEATS = 0.8
+"""White noise correlates with itself less than this, but for a handful of frames."""
 
 
 def contraction_signal(displacement_px: Floats, points_px: Floats, direction: Floats) -> Floats:
@@ -23,17 +25,18 @@ def contraction_signal(displacement_px: Floats, points_px: Floats, direction: Fl
     u = np.where(np.isfinite(u), u, np.nanmedian(np.where(np.isfinite(u), u, np.nan), axis=1, keepdims=True))
     u = np.nan_to_num(u)
     flat = u.reshape(len(u), -1)
-    moving = _without_trend(flat)
+    moving = without_trend(flat)
     _, vectors = np.linalg.eigh(moving.T @ moving)
     pattern = vectors[:, -1]
     signal = flat @ pattern / np.sqrt(len(x))
     if not signal.any():
         return np.zeros(len(flat))
-    return np.asarray(signal * _sign(_without_trend(signal[:, None])[:, 0], pattern.reshape(-1, 2), x, direction))
+    return np.asarray(signal * _sign(without_trend(signal[:, None])[:, 0], pattern.reshape(-1, 2), x, direction))
 
 
-def _without_trend(series: Floats) -> Floats:
-    """Subtract each column's straight line in time, so that a drifting stage is not taken for the beat."""
+def without_trend(series: Floats) -> Floats:
+    """Subtract from each column of (T, n) its straight line in time, so that a drifting stage is not taken for the
+    beat."""
     t = np.linspace(-1, 1, len(series))[:, None]
     centred = series - series.mean(axis=0)
     return np.asarray(centred - t * (t * centred).sum(axis=0) / max(float((t * t).sum()), 1e-12))
@@ -58,8 +61,26 @@ def frame_noise(signal: Floats) -> float:
     """Estimate the standard deviation of a signal's frame-to-frame noise from its quiet parts.
 
     The second difference removes slow change; its lower quartile comes from the frames in which the tissue rests.
+    Where beats are so short that hardly any frame is quiet, what repeats from beat to beat is not noise either.
     """
     if len(signal) < 5:
         return float("nan")
     second = np.abs(signal[:-2] - 2 * signal[1:-1] + signal[2:])
-    return float(np.quantile(second, 0.25) / (0.3186 * np.sqrt(6.0)))  # quartile of |N(0, 1)|; 1 + 4 + 1
+    quiet = float(np.quantile(second, 0.25) / (0.3186 * np.sqrt(6.0)))  # quartile of |N(0, 1)|; 1 + 4 + 1
+    steady = without_trend(signal[:, None])[:, 0]
+    repeats = _repeating_share(steady)
+    return min(quiet, float(steady.std() * np.sqrt(1 - repeats))) if repeats > CLEARLY_REPEATS else quiet
+
+
+def _repeating_share(signal: Floats) -> float:
+    """Correlation of a signal with itself one period later; the period is where it is largest, up to half the signal's
+    length and after the correlation has first been negative."""
+    lags = range(1, len(signal) // 2 + 1)
+    correlation = np.array([_correlation(signal[:-lag], signal[lag:]) for lag in lags])
+    negative = np.flatnonzero(correlation < 0)
+    return float(correlation[negative[0]:].max()) if len(negative) else 0.0
+
+
+def _correlation(one: Floats, other: Floats) -> float:
+    size = float(np.sqrt((one**2).sum() * (other**2).sum()))
+    return float((one * other).sum()) / size if size > 0 else 0.0
