@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import tifffile
 
-from .data import Floats, Source
+from .data import Finding, Floats, Source
 
 UM_PER = {"nm": 1e-3, "um": 1.0, "µm": 1.0, "μm": 1.0, "micron": 1.0, "microns": 1.0, "micrometer": 1.0, "mm": 1e3,
           "cm": 1e4, "m": 1e6}
@@ -23,6 +23,7 @@ class Calibration:
 
     time_s: Floats | None = None
     um_per_px: float | None = None
+    findings: tuple[Finding, ...] = ()
 
     @property
     def time_source(self) -> Source:
@@ -50,11 +51,22 @@ def _from_ome(text: str, count: int) -> Calibration:
     pixels = next((e for e in root.iter() if e.tag.endswith("}Pixels") or e.tag == "Pixels"), None)
     if pixels is None:
         return Calibration()
-    sizes = [_number(pixels.get(f"PhysicalSize{a}")) for a in "XY"]
-    scales = [UM_PER.get((pixels.get(f"PhysicalSize{a}Unit") or "µm").strip()) for a in "XY"]
-    um = [n * s for n, s in zip(sizes, scales, strict=True) if n and s]
-    square = len(um) == 2 and abs(um[0] - um[1]) < 1e-3 * um[0]
-    return Calibration(time_s=_ome_times(pixels, count), um_per_px=um[0] if square or len(um) == 1 else None)
+    return _square(_ome_size(pixels, "X"), _ome_size(pixels, "Y"), Calibration(time_s=_ome_times(pixels, count)))
+
+
+def _ome_size(pixels: ElementTree.Element, side: str) -> float | None:
+    size = _number(pixels.get(f"PhysicalSize{side}"))
+    scale = UM_PER.get((pixels.get(f"PhysicalSize{side}Unit") or "µm").strip())
+    return size * scale if size and scale else None
+
+
+def _square(um_x: float | None, um_y: float | None, found: Calibration) -> Calibration:
+    """Take the pixel size where both sides agree or one is known; say so where they do not."""
+    if um_x and um_y and abs(um_x - um_y) > 1e-3 * um_x:
+        note = Finding("pixels_not_square", "review", f"the file says that a pixel is {um_y:.4g} um high and "
+                       f"{um_x:.4g} um wide; one size for both is needed, so it is taken as unknown")
+        return replace(found, findings=(note,))
+    return replace(found, um_per_px=um_x or um_y)
 
 
 def _ome_times(pixels: ElementTree.Element, count: int) -> Floats | None:
@@ -69,22 +81,24 @@ def _ome_times(pixels: ElementTree.Element, count: int) -> Floats | None:
     if count > 1 and sorted(stamps) == list(range(count)):
         times = np.array([stamps[i] for i in range(count)])
         if (np.diff(times) > 0).all():
-            return times - times[0]
+            return np.asarray(times - times[0])
     step, unit = _number(pixels.get("TimeIncrement")), S_PER.get((pixels.get("TimeIncrementUnit") or "s").strip())
-    return np.arange(count) * step * unit if step and unit else None
+    if not (step and unit):
+        return None
+    return np.arange(count, dtype=float) * (step * unit)
 
 
 def _from_imagej(tiff: tifffile.TiffFile, metadata: dict[str, Any], count: int) -> Calibration:
-    step = _number(metadata.get("finterval"))
-    if not step and (fps := _number(metadata.get("fps"))):
-        step = 1.0 / fps
-    unit = S_PER.get(str(metadata.get("tunit", "s")).strip(), 1.0)
-    um_per = UM_PER.get(str(metadata.get("unit", "")).replace("\\u00B5", "µ").strip())
-    um = None
-    tag = tiff.pages[0].tags.get("XResolution")  # type: ignore[union-attr]
-    if um_per and tag is not None and tag.value[0] > 0:
-        um = um_per * tag.value[1] / tag.value[0]
-    return Calibration(time_s=np.arange(count) * step * unit if step else None, um_per_px=um)
+    """ImageJ's `fps` is the speed at which it plays the movie, and a size in cm or inch is that of a print."""
+    step, unit = _number(metadata.get("finterval")), S_PER.get(str(metadata.get("tunit", "s")).strip())
+    found = Calibration(time_s=np.arange(count) * (step * unit) if step and unit else None)
+    name = str(metadata.get("unit", "")).replace("\\u00B5", "µ").strip()
+    um_per = None if name == "cm" else UM_PER.get(name)
+    if um_per is None:
+        return found
+    tags = [tiff.pages[0].tags.get(f"{a}Resolution") for a in "XY"]  # type: ignore[union-attr]
+    um = [um_per * t.value[1] / t.value[0] if t is not None and t.value[0] > 0 else None for t in tags]
+    return _square(um[0], um[1], found)
 
 
 def _number(text: Any) -> float | None:

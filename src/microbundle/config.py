@@ -38,7 +38,8 @@ class Reading(Params):
     smooth_px: Annotated[float, Ge(0), Le(20)] = 0.0
     """Standard deviation of a Gaussian blur, in pixels; 0 leaves the frames as they are."""
     kernel: tuple[tuple[float, ...], ...] | None = None
-    """Filter every frame with this kernel, given as rows of numbers of odd count."""
+    """Filter every frame with this kernel, given as rows of numbers of odd count (as a flag: once for each row, like
+    [0,1,0])."""
     drop_flashes: bool = False
     """Leave out frames whose brightness jumps away from the frames around them (stimulation flashes)."""
 
@@ -209,7 +210,7 @@ def explain(error: ValidationError, source: str) -> str:
         elif one["type"] == "missing":
             lines.append(f"{source}: {key} is missing")
         else:
-            what = one["msg"].removeprefix("Value error, ")
+            what = one["msg"].removeprefix("Value error, ").replace("Input should be", "expected")
             found = "" if one["type"] == "value_error" else f"; found {one['input']!r}"
             lines.append(f"{source}: {key}: {what}{found}")
     return "\n".join(lines)

@@ -22,7 +22,7 @@ def read_mask(path: Path | str, shape: tuple[int, ...]) -> Bools:
     `shape` is that of the movie's frames. Raises MaskUnusable for a missing file, other values, another shape, or an
     empty mask.
     """
-    path = Path(path)
+    path = Path(path).expanduser()
     suffix = path.suffix.lower()
     try:
         if suffix in PICTURES:
@@ -30,11 +30,12 @@ def read_mask(path: Path | str, shape: tuple[int, ...]) -> Bools:
         elif suffix == ".json":
             mask = polygon_mask(_points(json.loads(path.read_text(encoding="utf-8"))), shape)
         elif suffix == ".csv":
-            mask = polygon_mask(_points(np.genfromtxt(path, delimiter=",", names=True)), shape)
+            mask = polygon_mask(_points(np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8-sig")), shape)
         else:
-            mask = _two_valued(np.loadtxt(path, ndmin=2), path)
-    except MaskUnusable:
-        raise
+            mask = _two_valued(_numbers(path), path)
+    except MaskUnusable as error:
+        message = str(error)
+        raise MaskUnusable(message if message.startswith(f"{path}") else f"{path}: {message}") from None
     except OSError as error:
         raise MaskUnusable(f"{path}: the mask cannot be read: {error.strerror or error}") from None
     except Exception as error:  # whatever a damaged file makes a parser raise
@@ -44,23 +45,30 @@ def read_mask(path: Path | str, shape: tuple[int, ...]) -> Bools:
         raise MaskUnusable(f"{path}: expected a mask of {shape[0]} x {shape[1]} px like the frames; "
                            f"found {mask.shape[0]} x {mask.shape[1]}")
     if not mask.any():
-        raise MaskUnusable(f"{path}: expected some tissue in the mask; it is empty")
+        raise MaskUnusable(f"{path}: expected some pixels in the mask; it is empty")
     return mask
 
 
-def find_supplied_masks(movie_path: Path, shape: tuple[int, ...]) -> dict[str, Bools]:
+def find_supplied_masks(movie_path: Path, shape: tuple[int, ...],
+                        tissue_mask: Path | str | None = None) -> dict[str, Bools]:
     """Read the masks that lie beside a movie in the paper's layout: `masks/tissue_mask.txt`, `pillar_mask_1.txt`, ...
 
-    Returns them by the names `tissue`, `pillar_1`, `pillar_2`, ...; gaps in the numbers are allowed.
+    Returns them by the names `tissue`, `pillar_1`, `pillar_2`, ...; gaps in the numbers are allowed. The file
+    `tissue_mask` is read instead of the folder's. Raises MaskUnusable.
     """
-    home = movie_path.parent if movie_path.name == "movie" or movie_path.is_file() else movie_path
-    folder = home / "masks"
-    if movie_path.is_file() or not folder.is_dir():
-        return {}
     found: dict[str, Bools] = {}
-    for file in sorted(folder.iterdir()):
+    if tissue_mask is not None:
+        found["tissue"] = read_mask(tissue_mask, shape)
+    folder = (movie_path.parent if movie_path.name == "movie" else movie_path) / "masks"
+    if movie_path.is_file() or not folder.is_dir():
+        return found
+    try:
+        files = sorted(folder.iterdir())
+    except OSError as error:
+        raise MaskUnusable(f"{folder}: the folder cannot be read: {error.strerror or error}") from None
+    for file in files:
         name = file.name.lower()
-        if name == "tissue_mask.txt":
+        if name == "tissue_mask.txt" and tissue_mask is None:
             found["tissue"] = read_mask(file, shape)
         elif match := re.fullmatch(r"pillar_mask_(\d+)\.txt", name):
             found[f"pillar_{int(match[1])}"] = read_mask(file, shape)
@@ -68,16 +76,22 @@ def find_supplied_masks(movie_path: Path, shape: tuple[int, ...]) -> dict[str, B
 
 
 def polygon_mask(points_px: Floats, shape: tuple[int, ...]) -> Bools:
-    """Fill a polygon given by its corners (row, col) in pixels, shape (P, 2), with P at least 3."""
-    from PIL import Image, ImageDraw
+    """Fill a polygon given by its corners (row, col) in pixels, shape (P, 2), with P at least 3; its edge is inside.
+
+    Parts outside the frame are cut off. Raises MaskUnusable.
+    """
+    import cv2
 
     if points_px.ndim != 2 or points_px.shape[1] != 2 or len(points_px) < 3:
         raise MaskUnusable(f"polygon: expected at least three (row, col) points; found shape {points_px.shape}")
     if not np.isfinite(points_px).all():
         raise MaskUnusable("polygon: expected numbers; found an empty or unreadable coordinate")
-    picture = Image.new("1", (shape[1], shape[0]))
-    ImageDraw.Draw(picture).polygon([(float(c), float(r)) for r, c in points_px], fill=1)
-    return np.array(picture, dtype=bool)
+    if np.abs(points_px).max() > 1e6:
+        raise MaskUnusable("polygon: expected coordinates in pixels; found one beyond 1,000,000")
+    canvas = np.zeros(shape, np.uint8)
+    corners = np.rint(points_px[:, ::-1] * 16).astype(np.int32)
+    cv2.fillPoly(canvas, [corners], 1, shift=4)
+    return canvas > 0
 
 
 def _points(raw: Any) -> Floats:
@@ -89,15 +103,25 @@ def _points(raw: Any) -> Floats:
     return np.asarray(raw, dtype=float)
 
 
+def _numbers(path: Path) -> Any:
+    text = path.read_text(encoding="utf-8-sig")
+    if not text.strip():
+        raise ValueError("the file is empty")
+    return np.loadtxt(text.splitlines(), ndmin=2)
+
+
 def _picture(path: Path) -> Any:
     if path.suffix.lower() in (".tif", ".tiff"):
         import tifffile
 
         return tifffile.imread(path)
-    from PIL import Image
+    import cv2
 
-    with Image.open(path) as picture:
-        return np.array(picture.convert("L"))
+    packed = np.frombuffer(path.read_bytes(), np.uint8)
+    picture = cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH) if packed.size else None
+    if picture is None:
+        raise ValueError("the picture cannot be decoded")
+    return picture
 
 
 def _two_valued(values: Any, path: Path) -> Bools:
@@ -107,7 +131,8 @@ def _two_valued(values: Any, path: Path) -> Bools:
     if values.ndim != 2:
         raise MaskUnusable(f"{path}: expected a 2-D mask; found shape {values.shape}")
     levels = np.unique(values)
-    if len(levels) > 2 or (len(levels) and (levels[0] < 0 or not np.isin(levels, (0, 1, 255, 65535)).all())):
+    marks = levels[levels != 0]
+    if len(marks) > 1 or not np.isin(marks, (1, 255, 65535)).all():
         shown = ", ".join(f"{v:g}" for v in levels[:5]) + (", ..." if len(levels) > 5 else "")
         raise MaskUnusable(f"{path}: expected a mask of 0 and 1, or 0 and 255; found the values {shown}")
     return np.asarray(values > 0)

@@ -15,10 +15,12 @@ import numpy as np
 from .analysis import Analysis
 from .data import Floats
 from .errors import CalibrationMissing
+from .folder import write_whole
 from .geometry import rescale, to_tissue
 from .metrics import beat_signal
 from .published import paper_frame, paper_width
-from .store import write_whole
+
+KIND = "files in the paper's layout"
 
 
 def export_paper(analysis: Analysis, folder: Path | str, *, overwrite: bool = False) -> Path:
@@ -26,7 +28,8 @@ def export_paper(analysis: Analysis, folder: Path | str, *, overwrite: bool = Fa
 
     `results/` gets beat, rotated, interpolated and strain files; `masks/tissue_mask.txt` the mask. Times use the known
     frame rate and lengths the known pixel size: raises CalibrationMissing without them, for `beat_info.txt` has no
-    place to say that they are unknown. Raises OutputError where the folder is not new or empty.
+    place to say that they are unknown. Raises OutputError where the folder cannot be written, or is not new or empty;
+    `overwrite` replaces an older export, but nothing else.
     """
     fps, um_per_px = _frame_rate(analysis), analysis.um_per_px
     if fps is None or um_per_px is None:
@@ -42,7 +45,7 @@ def export_paper(analysis: Analysis, folder: Path | str, *, overwrite: bool = Fa
         _write_beats(analysis, results, fps, um_per_px)
         _write_strain(analysis, results)
 
-    return write_whole(Path(folder), write, overwrite=overwrite)
+    return write_whole(Path(folder), KIND, write, overwrite=overwrite)
 
 
 def _write_beats(a: Analysis, results: Path, fps: float, um_per_px: float) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .config import Reading
-from .data import Frames, Image, Ints
+from .data import Floats, Frames, Image, Ints
 
 UNSHARP_PX = 2.0
 FLASH_MAD = 8.0
@@ -25,7 +25,9 @@ class Prepared:
 
     def __getitem__(self, index: int) -> Image:
         r0, r1, c0, c1 = self._box
-        return filtered(self._frames[int(self._keep[index])], self._reading)[r0:r1, c0:c1]
+        frame = filtered(self._frames[int(self._keep[index])], self._reading)
+        # A copy, so that a small part that is kept does not keep the whole frame in memory.
+        return frame if frame.shape == (r1 - r0, c1 - c0) else frame[r0:r1, c0:c1].copy()
 
 
 def filtered(frame: Image, reading: Reading) -> Image:
@@ -34,9 +36,10 @@ def filtered(frame: Image, reading: Reading) -> Image:
         return frame
     from scipy import ndimage
 
-    out = frame.astype(np.float32)
+    # Single precision holds 16 bits exactly, but not 32.
+    out: Floats = frame.astype(np.float64 if frame.dtype.itemsize > 2 else np.float32)
     if reading.kernel is not None:
-        out = ndimage.correlate(out, np.array(reading.kernel, np.float32), mode="reflect")
+        out = ndimage.correlate(out, np.array(reading.kernel, out.dtype), mode="reflect")
     if reading.smooth_px > 0:
         out = ndimage.gaussian_filter(out, reading.smooth_px)
     if reading.sharpen > 0:

@@ -10,6 +10,7 @@ because most programs write a print resolution there.
 from __future__ import annotations
 
 import hashlib
+import re
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,11 +21,11 @@ import tifffile
 from .calibration import Calibration, tiff_calibration
 from .config import Reading
 from .data import Finding, Frames, Image, Movie
-from .errors import MicrobundleError, MovieUnreadable
-from .mask_files import find_supplied_masks, read_mask
+from .errors import MovieUnreadable
+from .mask_files import find_supplied_masks
 from .prepare import Prepared, find_flashes
+from .tiff import SUFFIXES, TiffFiles, TiffPages, axis_note, check_magic, colour_note, page_count
 
-SUFFIXES = (".tif", ".tiff")
 CACHE_BYTES = 96 * 2**20
 """Decoded frames that are kept, so that short movies are decoded once although several stages read them."""
 
@@ -39,20 +40,19 @@ def read_movie(path: Path | str, *, fps: float | None = None, um_per_px: float |
 
     Raises MovieUnreadable (missing, damaged, no frames, several movies) and MaskUnusable.
     """
-    path = Path(path)
+    path = Path(path).expanduser()
     _check_positive("fps", fps)
     _check_positive("um_per_px", um_per_px)
-    if path.is_dir():
-        frames, files, findings, found = _open_folder(path)
-    elif path.is_file():
-        frames, files, findings, found = _open_file(path)
-    else:
+    try:
+        is_folder, is_file = path.is_dir(), path.is_file()
+    except OSError as error:
+        raise MovieUnreadable(f"{path}: the movie cannot be read: {error.strerror or error}") from None
+    if not (is_folder or is_file):
         raise MovieUnreadable(f"{path}: expected a movie (a folder of TIFFs or a TIFF file); there is no such file")
+    frames, files, findings, found = _open_folder(path) if is_folder else _open_file(path)
 
     first = frames[0]
-    masks = find_supplied_masks(path, first.shape)
-    if tissue_mask is not None:
-        masks["tissue"] = read_mask(tissue_mask, first.shape)
+    masks = find_supplied_masks(path, first.shape, tissue_mask)
     movie = Movie(
         name=_name(path), frames=Cached(frames), shape=_shape(first), time_s=found.time_s,
         time_source=found.time_source, um_per_px=found.um_per_px, um_per_px_source=found.um_per_px_source,
@@ -129,67 +129,15 @@ class Cached:
         return len(self._frames)
 
     def __getitem__(self, index: int) -> Image:
-        return self._get(index)
+        count = len(self._frames)
+        if not -count <= index < count:
+            raise IndexError(f"frame {index} is not one of the {count} frames of this movie")
+        return self._get(int(index) % count)
 
     def _decode(self, index: int) -> Image:
         frame = self._frames[index]
         frame.setflags(write=False)
         return frame
-
-
-class TiffFiles:
-    """Frames of a folder with one TIFF each."""
-
-    def __init__(self, files: tuple[Path, ...]) -> None:
-        self._files = files
-        self._shape = self[0].shape
-
-    def __len__(self) -> int:
-        return len(self._files)
-
-    def __getitem__(self, index: int) -> Image:
-        file = self._files[index]
-        try:
-            frame = tifffile.imread(file)
-        except Exception as error:  # tifffile raises many kinds on damaged files
-            raise _undecodable(file, error) from None
-        return _grey(frame, file, getattr(self, "_shape", None))
-
-
-class TiffPages:
-    """Frames of one multi-page TIFF."""
-
-    def __init__(self, file: Path) -> None:
-        self._file = file
-        try:
-            self._tiff = tifffile.TiffFile(file)
-            series = self._tiff.series[0]
-            pages, axes, shape = series.pages, series.axes, series.shape
-        except Exception as error:  # tifffile raises many kinds on damaged files
-            raise _undecodable(file, error) from None
-        self.axes, self.series_shape = axes, shape
-        self._pages = pages
-        self._count = _time_length(file, axes, shape)
-        self._shape: tuple[int, ...] | None = None
-        self._shape = self[0].shape
-
-    def __len__(self) -> int:
-        return self._count
-
-    def __getitem__(self, index: int) -> Image:
-        try:
-            page = self._pages[index]
-            if page is None:
-                raise ValueError(f"page {index} is missing")
-            frame = page.asarray()
-        except Exception as error:  # tifffile raises many kinds on damaged files
-            raise _undecodable(self._file, error, index) from None
-        return _grey(frame, self._file, self._shape, index)
-
-    @property
-    def tiff(self) -> tifffile.TiffFile:
-        """The open file, for its metadata."""
-        return self._tiff
 
 
 Opened = tuple[Frames, tuple[Path, ...], tuple[Finding, ...], Calibration]
@@ -198,99 +146,50 @@ Opened = tuple[Frames, tuple[Path, ...], tuple[Finding, ...], Calibration]
 def _open_folder(folder: Path) -> Opened:
     try:
         home = folder / "movie" if (folder / "movie").is_dir() else folder
-        files = tuple(sorted((f for f in home.iterdir() if _is_tiff_name(f)), key=lambda f: natural_key(f.name)))
+        files = tuple(sorted((f for f in home.iterdir() if _is_tiff_name(f)),
+                             key=lambda f: (natural_key(f.name), f.name)))
     except OSError as error:
         raise MovieUnreadable(f"{folder}: the folder cannot be read: {error.strerror or error}") from None
     if not files:
         raise MovieUnreadable(f"{home}: expected TIFF files ({', '.join(SUFFIXES)}, any case); found none")
-    pages = _page_count(files[0])
+    pages = page_count(files[0])
     if pages > 1 and len(files) > 1:
         raise MovieUnreadable(f"{home}: expected one frame in each file; {files[0].name} holds {pages}. "
                               "A folder of movies is not one movie: give one of its files")
     if len(files) == 1 and pages > 1:
         return _open_file(files[0])
-    return TiffFiles(files), files, _colour_note(files[0]), Calibration()
+    frames = TiffFiles(files)
+    with tifffile.TiffFile(files[0]) as tiff:
+        found = tiff_calibration(tiff, len(files))
+    return frames, files, colour_note(files[0]) + name_notes(files) + found.findings, found
 
 
 def _open_file(file: Path) -> Opened:
-    _check_magic(file)
+    check_magic(file)
     pages = TiffPages(file)
-    return pages, (file,), _colour_note(file) + _axis_note(pages.axes), tiff_calibration(pages.tiff, len(pages))
+    found = tiff_calibration(pages.tiff, len(pages))
+    return pages, (file,), colour_note(file) + axis_note(pages.axes) + found.findings, found
 
 
-def _page_count(file: Path) -> int:
-    _check_magic(file)
-    try:
-        with tifffile.TiffFile(file) as tiff:
-            return _time_length(file, tiff.series[0].axes, tiff.series[0].shape)
-    except MicrobundleError:
-        raise
-    except Exception as error:  # tifffile raises many kinds on damaged files
-        raise _undecodable(file, error) from None
-
-
-def _check_magic(file: Path) -> None:
-    """Tell a TIFF by its first bytes, whatever its name."""
-    try:
-        with file.open("rb") as stream:
-            magic = stream.read(4)
-    except OSError as error:
-        raise MovieUnreadable(f"{file}: the file cannot be read: {error.strerror or error}") from None
-    if magic[:2] not in (b"II", b"MM") or magic[2:] not in (b"*\0", b"\0*", b"+\0", b"\0+"):
-        what = "an empty file" if not magic else f"a file that starts with {magic!r}"
-        raise MovieUnreadable(f"{file}: expected a TIFF; found {what}")
-
-
-def _time_length(file: Path, axes: str, shape: tuple[int, ...]) -> int:
-    """Number of frames of a TIFF series, which must hold exactly one axis besides row, col and colour."""
-    long = {a: n for a, n in zip(axes, shape, strict=True) if a not in "YXS" and n > 1}
-    if len(long) > 1:
-        sizes = ", ".join(f"{a} {n}" for a, n in long.items())
-        raise MovieUnreadable(f"{file}: expected one series of grey frames over time; found axes {sizes}. "
-                              "Save one channel and one focal plane as a movie of its own")
-    return next(iter(long.values()), 1)
-
-
-def _axis_note(axes: str) -> tuple[Finding, ...]:
-    if "Z" in axes and "T" not in axes:
-        return (Finding("z_as_time", "info", "the file calls its frames focal planes (Z); they are taken as time"),)
-    if "C" in axes and "T" not in axes:
-        return (Finding("c_as_time", "review", "the file calls its frames channels (C); they are taken as time"),)
-    return ()
-
-
-def _colour_note(file: Path) -> tuple[Finding, ...]:
-    with tifffile.TiffFile(file) as tiff:
-        if "S" in tiff.series[0].axes:
-            return (Finding("colour_converted", "info", "the frames are in colour; their luminance was used"),)
-    return ()
-
-
-def _grey(frame: Image, file: Path, shape: tuple[int, ...] | None, index: int | None = None) -> Image:
-    """Bring a decoded frame to 2-D grey, and check it against the first one."""
-    where = f"{file}" if index is None else f"{file}, frame {index}"
-    frame = np.squeeze(frame) if frame.ndim > 2 else frame
-    if frame.ndim == 3 and frame.shape[-1] in (3, 4):
-        frame = _luminance(frame)
-    if frame.ndim != 2 or min(frame.shape) < 1:
-        raise MovieUnreadable(f"{where}: expected one grey or colour frame; found an array of shape {frame.shape}")
-    if shape is not None and frame.shape != shape:
-        raise MovieUnreadable(f"{where}: expected {shape[0]} x {shape[1]} px as in the first frame; "
-                              f"found {frame.shape[0]} x {frame.shape[1]}")
-    if frame.dtype == np.bool_ or np.iscomplexobj(frame):
-        raise MovieUnreadable(f"{where}: expected grey values; found {frame.dtype}")
-    if np.issubdtype(frame.dtype, np.floating) and not np.isfinite(frame).all():
-        raise MovieUnreadable(f"{where}: expected numbers; found NaN or infinity in {int((~np.isfinite(frame)).sum())} "
-                              "pixels")
-    return frame.astype(frame.dtype.newbyteorder("="), copy=False)
-
-
-def _luminance(frame: Image) -> Image:
-    rgb = frame[..., :3]
-    if (rgb[..., 0] == rgb[..., 1]).all() and (rgb[..., 0] == rgb[..., 2]).all():
-        return np.ascontiguousarray(rgb[..., 0])
-    grey = rgb @ np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
-    return np.rint(grey).astype(frame.dtype) if np.issubdtype(frame.dtype, np.integer) else grey.astype(frame.dtype)
+def name_notes(files: tuple[Path, ...]) -> tuple[Finding, ...]:
+    """Say where the names of the frames suggest that some are missing, or that they are of several movies."""
+    stems = [file.stem.casefold() for file in files]
+    patterns = sorted({re.sub(r"\d+", "#", stem) for stem in stems})
+    if len(patterns) > 1:
+        return (Finding("names_differ", "review", f"the file names follow {len(patterns)} patterns "
+                        f"({patterns[0]}, {patterns[1]}{', ...' if len(patterns) > 2 else ''}); all were taken as one "
+                        "movie, in the natural order of their names", float(len(patterns)), 1.0),)
+    numbers = np.array([[float(n) for n in re.findall(r"\d+", stem)] for stem in stems])
+    counting = numbers[:, np.ptp(numbers, axis=0) > 0]
+    if counting.shape[1] != 1:
+        return ()
+    steps = np.diff(counting[:, 0])
+    jumps = np.flatnonzero(steps > steps.min())
+    if not jumps.size:
+        return ()
+    return (Finding("frames_missing", "review", f"the numbers in the file names jump after {files[jumps[0]].name}"
+                    f"{f' and {jumps.size - 1} times more' if jumps.size > 1 else ''}; where frames are missing, times "
+                    "and periods are wrong", float(jumps.size), 0.0),)
 
 
 def natural_key(name: str) -> list[tuple[int, int | str]]:
@@ -321,16 +220,6 @@ def _name(path: Path) -> str:
 
 def _shape(frame: Image) -> tuple[int, int]:
     return int(frame.shape[0]), int(frame.shape[1])
-
-
-def _undecodable(file: Path, error: Exception, index: int | None = None) -> MovieUnreadable:
-    where = f"{file}" if index is None else f"{file}, frame {index}"
-    reason = str(error).strip().splitlines()
-    hint = ""
-    if "imagecodecs" in str(error):
-        hint = '; this compression needs another package: pip install imagecodecs'
-    return MovieUnreadable(f"{where}: the TIFF cannot be decoded: "
-                           f"{reason[0] if reason else type(error).__name__}{hint}")
 
 
 def _check_positive(name: str, value: float | None) -> None:

@@ -1,18 +1,13 @@
 """Keep results: one NetCDF file per movie, and tables as CSV. Output appears whole or not at all.
 
 The NetCDF file holds everything needed to continue: `load` gives the same `Analysis` back, and xarray opens it, with
-units and descriptions as attributes. A results folder is written beside its final place under a temporary name and
-renamed when it is complete; a folder that is not a result of microbundle is never replaced.
+units and descriptions as attributes.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import tempfile
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,13 +17,15 @@ import numpy as np
 from .analysis import Analysis
 from .config import Config
 from .data import Beats, Finding, Grid, Markers, Masks, Strain, TissueAxis, Tracks
-from .errors import OutputError, ResultUnreadable
+from .errors import ResultUnreadable
+from .folder import write_whole
 from .metrics import tables
 
 if TYPE_CHECKING:
     import xarray as xr
 
 RESULT = "result.nc"
+KIND = "results"
 SCHEMA = 1
 """Version of the layout of the result file; raised when a reader of the old one would be misled."""
 RC = ("row", "col")
@@ -36,13 +33,11 @@ RC = ("row", "col")
 
 def save(analysis: Analysis, folder: Path | str, *, overwrite: bool = False,
          extra: Callable[[Path], None] | None = None) -> Path:
-    """Write a result folder: `result.nc`, the CSV tables, and `settings.toml`-like provenance in the file itself.
+    """Write a result folder: `result.nc` with everything, its settings included, and the tables as CSV.
 
     Returns the folder. `extra` may write more files into it before it appears. Raises OutputError where the folder
-    exists and is not empty (unless `overwrite`, and it is a microbundle result), or cannot be written.
+    cannot be written, or exists and is not empty; `overwrite` replaces an older result, but nothing else.
     """
-    folder = Path(folder)
-
     def write(into: Path) -> None:
         save_netcdf(analysis, into / RESULT)
         for name, table in tables(analysis).items():
@@ -50,14 +45,14 @@ def save(analysis: Analysis, folder: Path | str, *, overwrite: bool = False,
         if extra is not None:
             extra(into)
 
-    return write_whole(folder, write, overwrite=overwrite)
+    return write_whole(Path(folder), KIND, write, overwrite=overwrite)
 
 
 def load(path: Path | str) -> Analysis:
     """Read a result back from its folder or its NetCDF file. Raises ResultUnreadable where it is not one."""
     import xarray as xr
 
-    path = Path(path)
+    path = Path(path).expanduser()
     file = path / RESULT if path.is_dir() else path
     if not file.is_file():
         raise ResultUnreadable(f"{path}: expected a microbundle result (a folder with {RESULT}, or that file); "
@@ -74,62 +69,6 @@ def load(path: Path | str) -> Analysis:
         raise
     except Exception as error:  # HDF5 raises many kinds on damaged files
         raise ResultUnreadable(f"{file}: the result cannot be read: {error}") from None
-
-
-def write_whole(folder: Path, write: Callable[[Path], None], *, overwrite: bool = False) -> Path:
-    """Let `write` fill a temporary folder, and give it its name when it is complete.
-
-    Raises OutputError where the folder exists and may not be replaced, or writing fails; nothing is left then.
-    """
-    folder = Path(os.path.abspath(folder))
-    check_free(folder, overwrite)
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.partial-", dir=folder.parent))
-    except OSError as error:
-        raise OutputError(f"{folder}: the results cannot be written: {error.strerror or error}") from None
-    try:
-        partial.chmod(0o755)
-        write(partial)
-        _swap(partial, folder)
-    except OSError as error:
-        raise OutputError(f"{folder}: the results cannot be written: {error.strerror or error}") from None
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-    return folder
-
-
-def check_free(folder: Path, overwrite: bool = False) -> None:
-    """Check that results may be written to a folder. Raises OutputError where it holds something else."""
-    if not folder.exists():
-        return
-    if not folder.is_dir():
-        raise OutputError(f"{folder}: expected a folder for the results; there is a file of that name")
-    if not any(folder.iterdir()):
-        return
-    if not (folder / RESULT).is_file():
-        raise OutputError(f"{folder}: expected a new or empty folder for the results; it holds other files, which "
-                          "are never replaced. Choose another with --out")
-    if not overwrite:
-        raise OutputError(f"{folder}: holds results already. Replace them with --overwrite, or choose another folder "
-                          "with --out")
-
-
-def _swap(partial: Path, folder: Path) -> None:
-    """Put the complete folder in place; an older result steps aside first, and comes back if that fails."""
-    if not folder.exists():
-        partial.rename(folder)
-        return
-    aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old-", dir=folder.parent))
-    folder.rename(aside / folder.name)
-    try:
-        partial.rename(folder)
-    except OSError:
-        (aside / folder.name).rename(folder)
-        with suppress(OSError):
-            aside.rmdir()
-        raise
-    shutil.rmtree(aside, ignore_errors=True)
 
 
 def save_netcdf(analysis: Analysis, file: Path) -> None:
@@ -187,7 +126,7 @@ def _to_dataset(a: Analysis) -> xr.Dataset:
         put("subdomain_center", ("frame", "subdomain", "axis"), s.center_px, "px", "centre, moving with the tissue")
         put("subdomain_corner", ("subdomain", "corner", "axis"), s.corner_px, "px", "corners at rest")
         put("subdomain_markers", ("subdomain",), s.count, "1", "markers in the sub-domain")
-        put("subdomain_reason", ("subdomain",), np.array(s.reason, dtype=object), "", "why there is no strain, or empty")
+        put("subdomain_reason", ("subdomain",), np.array(s.reason, dtype=object), "", "why it has no strain, or empty")
     coords: dict[str, Any] = {"axis": list(RC), "i": list(RC), "j": list(RC)}
     if a.strain is not None:
         coords["subdomain"] = list(a.strain.label)
@@ -225,7 +164,8 @@ def _from_dataset(data: xr.Dataset) -> Analysis:
     def get(name: str) -> Any:
         return data[name].values
 
-    axis = {k: np.array(v) if isinstance(v, list) else v for k, v in json.loads(attr["axis"]).items()}
+    axis: dict[str, Any] = {k: np.array(v) if isinstance(v, list) else v
+                            for k, v in json.loads(attr["axis"]).items()}
     masks = Masks(get("tissue") > 0, TissueAxis(**axis), **json.loads(attr["masks"]), findings=found["masks"])
     markers = Markers(get("marker_reference"), **json.loads(attr["markers"]), findings=found["markers"])
     tracks = Tracks(get("position"), get("followed") > 0, **json.loads(attr["tracks"]), findings=found["tracks"],

@@ -1,0 +1,225 @@
+"""The commands: each calls one library function, prints, and returns an exit code.
+
+They are loaded when one is run or asked for help, so that `microbundle --help` stays fast.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from .config import Config, merge, read_toml
+from .errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from contextlib import AbstractContextManager
+
+    from .analysis import Analysis
+    from .events import Tell
+
+VERDICT_FAIL = 3
+Switch = Annotated[bool, Parameter(negative="")]
+
+
+def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, tissue_mask: Path | None = None,
+            config_file: Annotated[Path | None, Parameter(name="--config")] = None,
+            config: Annotated[Config | None, Parameter(name="*")] = None,
+            quiet: Switch = False, json: Switch = False) -> int:
+    """Measure one movie and write a folder of results.
+
+    Parameters
+    ----------
+    movie
+        A folder of single-frame TIFFs (also the layout movie/ and masks/), or a multi-page TIFF.
+    out
+        New folder for the results; by default NAME_microbundle in the current folder.
+    overwrite
+        Replace an older result in that folder.
+    tissue_mask
+        Mask of the tissue: text of 0/1, PNG, TIFF, or a polygon as CSV (row,col) or JSON.
+    config_file
+        TOML file of settings; flags win over it.
+    quiet
+        Print nothing but errors.
+    json
+        Print one JSON object instead of the table, for scripts.
+    """
+    settings = settings_from(config_file, config)
+    from .folder import check_free
+    from .pipeline import analyze as run
+    from .read import read_movie
+    from .store import KIND, save
+
+    with progress_bar(quiet or json) as tell:
+        opened = read_movie(movie, tissue_mask=tissue_mask)
+        folder = out or Path(f"{opened.name}_microbundle")
+        check_free(folder, KIND, overwrite)
+        analysis = run(opened, settings, tell=tell)
+        folder = save(analysis, folder, overwrite=overwrite)
+    report(analysis, folder, quiet=quiet, json=json)
+    return VERDICT_FAIL if analysis.verdict == "fail" else 0
+
+
+def export(result: Path, *, out: Path, layout: str = "paper", overwrite: Switch = False, quiet: Switch = False) -> int:
+    """Write a result in another layout.
+
+    Parameters
+    ----------
+    result
+        Folder or result.nc that `microbundle analyze` wrote.
+    out
+        New folder for the files.
+    layout
+        `paper`: the text files of MicroBundleCompute.
+    overwrite
+        Replace an older export in that folder.
+    quiet
+        Print nothing but errors.
+    """
+    if layout != "paper":
+        raise ConfigError(f"--layout: expected paper; found {layout!r}")
+    from .paper_layout import export_paper
+    from .store import load
+
+    folder = export_paper(load(result), out, overwrite=overwrite)
+    if not quiet:
+        print(folder)
+    return 0
+
+
+def demo(*, out: Path | None = None, quiet: Switch = False, json: Switch = False) -> int:
+    """Render a small beating tissue with known motion, analyze it, and print what was measured beside the truth.
+
+    Parameters
+    ----------
+    out
+        Also write the results into this new folder.
+    quiet
+        Print nothing but errors.
+    json
+        Print one JSON object instead of the table.
+    """
+    from .demo import run_demo
+
+    with progress_bar(quiet or json) as tell:
+        outcome = run_demo(tell)
+        if out is not None:
+            from .store import save
+
+            save(outcome.analysis, out)
+    if json:
+        print_json(outcome.as_dict())
+    elif not quiet:
+        print_rows("A rendered tissue with known motion", ("metric", "truth", "measured", "error"), outcome.rows())
+    return 0
+
+
+def settings_from(config_file: Path | None, flags: Config | None) -> Config:
+    """Lay the flags over the TOML file, and check the file and the whole. Raises ConfigError."""
+    above = flags.model_dump(exclude_unset=True) if flags is not None else {}
+    if config_file is None:
+        return Config.from_dict(above, source="command line")
+    below = read_toml(config_file)
+    Config.from_dict(below, source=str(config_file))
+    return Config.from_dict(merge(below, above), source=f"command line with {config_file}")
+
+
+def report(analysis: Analysis, folder: Path, *, quiet: bool, json: bool) -> None:
+    """Print the short table of a result, or its JSON, and its findings."""
+    from .metrics import tables
+
+    summary = tables(analysis)["summary"]
+    if json:
+        metrics = {str(row["metric"]): {k: row[k] for k in ("n", "mean", "sd", "low_95", "high_95")}
+                   for _, row in summary.iterrows()}
+        print_json({
+            "name": analysis.name, "verdict": analysis.verdict, "out": str(folder), "frames": analysis.frame_count,
+            "beats": int(analysis.beats.complete.sum()), "markers": len(analysis.markers),
+            "findings": [vars(f) for f in analysis.findings], "metrics": metrics,
+        })
+        return
+    if quiet:
+        return
+    shown = summary[summary["metric"].isin(_shown(analysis))]
+    rows = [(str(r["metric"]), _number(r["mean"]), _number(r["sd"]), str(int(r["n"]))) for _, r in shown.iterrows()]
+    print_rows(f"{analysis.name}: {analysis.verdict}", ("metric", "mean", "sd", "n"), rows)
+    for finding in analysis.findings:
+        print(f"{finding.level}: {finding.message}")
+    if analysis.um_per_px is None or analysis.time_s is None:
+        unknown = [text for text, missing in (("pixel size (--um-per-px)", analysis.um_per_px is None),
+                                              ("frame rate (--fps)", analysis.time_s is None)) if missing]
+        print(f"info: not known, so no such units: {' and '.join(unknown)}")
+    print(f"results: {folder}")
+
+
+def _shown(analysis: Analysis) -> list[str]:
+    length = "um" if analysis.um_per_px is not None else "px"
+    timed = analysis.time_s is not None
+    return [f"tissue_width_{length}", f"beat_period_{'s' if timed else 'frames'}", "beat_rate_bpm",
+            f"amplitude_{length}", "e_cc_peak", "e_cc_min", f"synchrony_sd_{'s' if timed else 'frames'}"]
+
+
+def print_rows(title: str, header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
+    """Print a small table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for i, name in enumerate(header):
+        table.add_column(name, justify="left" if i == 0 else "right")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
+def print_json(content: dict[str, Any]) -> None:
+    """Print one JSON object; what is not a number becomes null."""
+    import json
+    import math
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {str(k): plain(v) for k, v in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(v) for v in value]
+        if hasattr(value, "item"):
+            value = value.item()
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    print(json.dumps(plain(content)))
+
+
+def _number(value: float) -> str:
+    return "" if value != value else f"{value:.4g}"
+
+
+def progress_bar(silent: bool) -> AbstractContextManager[Tell]:
+    """Show the stage and the time left on the error stream, while the block runs."""
+    from contextlib import contextmanager
+
+    from .events import Progress, ignore
+
+    @contextmanager
+    def bar() -> Iterator[Tell]:
+        if silent or not sys.stderr.isatty():
+            yield ignore
+            return
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
+
+        columns = TextColumn("{task.description:<24}"), BarColumn(), TimeRemainingColumn(compact=True)
+        with Bar(*columns, console=Console(stderr=True), transient=True) as shown:
+            task = shown.add_task("reading", total=1.0)
+
+            def tell(event: Progress) -> None:
+                shown.update(task, description=event.stage, completed=event.share)
+
+            yield tell
+
+    return bar()

@@ -1,0 +1,117 @@
+"""Write a folder whole or not at all, and never in place of anything that is not ours.
+
+A folder is filled beside its final place under a temporary name, and renamed when it is complete. It gets a list of the
+files in it (`microbundle.json`); only a folder that holds such a list, and nothing that is not on it, is ever replaced.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from .errors import OutputError
+
+LIST = "microbundle.json"
+LEFT_BY_SYSTEM = {".DS_Store", "Thumbs.db", "desktop.ini"}
+"""Files that file managers leave behind; they go with the folder."""
+
+
+def write_whole(folder: Path, kind: str, write: Callable[[Path], None], *, overwrite: bool = False) -> Path:
+    """Let `write` fill a temporary folder, and give it its name when it is complete; returns its full path.
+
+    `kind` names what it holds, such as "results". Raises OutputError where the folder exists and may not be replaced
+    (see `check_free`), or writing fails; nothing is left then.
+    """
+    folder = check_free(folder, kind, overwrite)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.partial-", dir=folder.parent))
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+    try:
+        partial.chmod(0o755)
+        write(partial)
+        listed = {"kind": kind, "files": sorted(_files(partial))}
+        (partial / LIST).write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
+        check_free(folder, kind, overwrite)
+        _swap(partial, folder)
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return folder
+
+
+def check_free(folder: Path | str, kind: str, overwrite: bool = False) -> Path:
+    """Check that a folder may be written, and return its full path.
+
+    It may where it does not exist or is empty; with `overwrite` also where it is a folder of the same kind that
+    microbundle wrote, and holds nothing else. Raises OutputError, and never changes anything.
+    """
+    folder = Path(folder).expanduser()
+    try:
+        folder = folder.resolve()
+        if not folder.exists():
+            return folder
+        if not folder.is_dir():
+            raise OutputError(f"{folder}: expected a folder for the {kind}; there is a file of that name")
+        if Path.cwd().is_relative_to(folder):
+            raise OutputError(f"{folder}: expected a new folder for the {kind}; this is the folder you work in")
+        found = _files(folder)
+        if not found:
+            return folder
+        old_kind, ours = _listed(folder)
+        foreign = sorted(name for name in found - ours if name.rpartition("/")[2] not in LEFT_BY_SYSTEM)
+    except (OSError, RuntimeError) as error:  # a loop of links is a RuntimeError
+        raise _unwritable(folder, error) from None
+    if old_kind != kind or foreign:
+        example = f", such as {foreign[0]}" if foreign else f" ({old_kind})"
+        raise OutputError(f"{folder}: expected a new or empty folder for the {kind}; it holds something else{example}, "
+                          "which is never replaced. Choose another with --out")
+    if not overwrite:
+        raise OutputError(f"{folder}: holds {kind} already. Replace them with --overwrite, or choose another folder "
+                          "with --out")
+    return folder
+
+
+def _listed(folder: Path) -> tuple[str, set[str]]:
+    """Read the kind of a folder that we wrote, and what is in it; nothing for any other folder."""
+    with suppress(ValueError, KeyError, TypeError, FileNotFoundError):
+        listed = json.loads((folder / LIST).read_text(encoding="utf-8"))
+        return str(listed["kind"]), {LIST, *map(str, listed["files"])}
+    return "", set()
+
+
+def _files(folder: Path) -> set[str]:
+    """Names of all files below a folder, and of its folders that are empty, with `/` between the parts."""
+    return {file.relative_to(folder).as_posix() for file in folder.rglob("*")
+            if file.is_symlink() or not file.is_dir() or not any(file.iterdir())}
+
+
+def _swap(partial: Path, folder: Path) -> None:
+    """Put the complete folder in place; an older one steps aside first, and comes back if that fails."""
+    if not folder.exists():
+        partial.rename(folder)
+        return
+    aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old-", dir=folder.parent))
+    try:
+        folder.rename(aside / folder.name)
+        try:
+            partial.rename(folder)
+        except BaseException:
+            (aside / folder.name).rename(folder)
+            raise
+    except BaseException:
+        with suppress(OSError):
+            aside.rmdir()
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def _unwritable(folder: Path, error: Exception) -> OutputError:
+    reason = error.strerror if isinstance(error, OSError) else None
+    return OutputError(f"{folder}: the folder cannot be written: {reason or error}")
