@@ -30,9 +30,9 @@ def read_mask(path: Path | str, shape: tuple[int, ...]) -> Bools:
         elif suffix == ".json":
             mask = polygon_mask(_points(json.loads(path.read_text(encoding="utf-8"))), shape)
         elif suffix == ".csv":
-            mask = polygon_mask(_points(np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8-sig")), shape)
+            mask = polygon_mask(_points(np.genfromtxt(_lines(path), delimiter=",", names=True)), shape)
         else:
-            mask = _two_valued(_numbers(path), path)
+            mask = _two_valued(np.loadtxt(_lines(path), ndmin=2), path)
     except MaskUnusable as error:
         message = str(error)
         raise MaskUnusable(message if message.startswith(f"{path}") else f"{path}: {message}") from None
@@ -103,11 +103,11 @@ def _points(raw: Any) -> Floats:
     return np.asarray(raw, dtype=float)
 
 
-def _numbers(path: Path) -> Any:
+def _lines(path: Path) -> list[str]:
     text = path.read_text(encoding="utf-8-sig")
     if not text.strip():
         raise ValueError("the file is empty")
-    return np.loadtxt(text.splitlines(), ndmin=2)
+    return text.splitlines()
 
 
 def _picture(path: Path) -> Any:
