@@ -60,7 +60,7 @@ def _even_markers(movie: Movie, tissue: Bools, reference_frame: int, config: Con
                         "Is the movie in focus, and does the mask lie on the tissue?")
     # OpenCV takes the strongest corners first, so one call at the lowest acceptable quality does what the paper's
     # loop over falling qualities does.
-    quality = LOWEST_QUALITY * float(np.quantile(corner, STRONG_QUANTILE) / corner.max())
+    quality = LOWEST_QUALITY * float(np.quantile(corner[corner > 0], STRONG_QUANTILE) / corner.max())
     wanted = min(params.max_count, max(MIN_MARKERS, int(np.ceil(tissue.sum() / params.coverage_px))))
     spacing = max(2.0, SPACING * np.sqrt(params.coverage_px))
     found = _corners(image, inside, quality, spacing, wanted)

@@ -30,19 +30,22 @@ class Scaling:
     tissue: Bools
     box: tuple[slice, slice]
     """Part of the frame that is needed: the tissue and a margin."""
-    mean: float
-    """Mean of the tissue's scaled values in the middle of the movie's range."""
+    dark: float
+    """Grey value without light: 0, or less where the frames hold negative numbers."""
+    light: float
+    """Usual mean of the tissue's grey values above the dark."""
 
     def __call__(self, frame: Image) -> Gray8:
         """Cut a frame to the box and scale it to 8 bits, undoing flicker."""
         part = frame[self.box].astype(np.float32)
-        part -= self.low
-        part *= 255.0 / (self.high - self.low)
+        part -= self.dark
+        light = float(part[self.tissue].mean())
+        steady = light <= 0 or abs(light / self.light - 1) <= FLICKER
+        gain = 1.0 if steady else self.light / light
+        step = 255.0 / (self.high - self.low)
+        part *= gain * step
+        part += (self.dark - self.low) * step
         np.clip(part, 0, 255, out=part)
-        mean = float(part[self.tissue].mean())
-        if mean > 0 and abs(mean / self.mean - 1) > FLICKER:
-            part *= self.mean / mean
-            np.clip(part, 0, 255, out=part)
         part += 0.5
         return part.astype(np.uint8)
 
@@ -58,11 +61,12 @@ def movie_scaling(movie: Movie, tissue: Bools, margin_px: int = 32) -> Scaling:
     box = (slice(max(int(rows[0]) - margin_px, 0), int(rows[-1]) + margin_px + 1),
            slice(max(int(cols[0]) - margin_px, 0), int(cols[-1]) + margin_px + 1))
     sample = np.unique(np.linspace(0, movie.count - 1, SAMPLED_FRAMES).astype(int))
-    values = np.stack([np.percentile(movie.frames[int(t)][tissue], TAILS_PERCENT) for t in sample])
-    low, high = np.median(values, axis=0)
+    seen = [movie.frames[int(t)][tissue] for t in sample]
+    low, high = np.median([np.percentile(values, TAILS_PERCENT) for values in seen], axis=0)
     high = max(high, low + 1e-6 * max(abs(low), 1.0))
-    middle = np.clip((movie.frames[int(sample[len(sample) // 2])][tissue] - low) / (high - low) * 255, 0, 255)
-    return Scaling(float(low), float(high), tissue[box], box, max(float(middle.mean()), 1.0))
+    dark = min(float(low), 0.0)
+    light = float(np.median([values.mean() for values in seen])) - dark
+    return Scaling(float(low), float(high), tissue[box], box, dark, max(light, 1e-6 * (high - low)))
 
 
 def stretch_each(frame: Image) -> Gray8:

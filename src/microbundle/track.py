@@ -27,6 +27,8 @@ ACCEPTABLE_LOSS = 0.05
 PYRAMID = 3
 STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 NEIGHBOURS = 8
+FEWEST_NEIGHBOURS = 3
+"""With fewer of its neighbours followed, a marker is taken for lost too: nothing speaks for it."""
 OUTLIER = 5.0
 """A marker is an outlier when it differs from its neighbours' median by this many of their median deviations."""
 OUTLIER_FLOOR_PX = 0.1
@@ -115,14 +117,26 @@ def _neighbours(points: Floats) -> Ints:
 
 
 def _outliers(moved: Floats, good: Bools, neighbours: Ints) -> Bools:
-    """Normalised median test: markers that move unlike those around them.
+    """Normalised median test: markers that move unlike those around them, or have too few around them to tell.
 
     Source: J. Westerweel and F. Scarano, Universal outlier detection for PIV data, Exp. Fluids 39, 2005.
     """
-    around = np.where(good[neighbours][..., None], moved[neighbours], moved[:, None])
-    middle = np.median(around, axis=1)
-    spread = np.median(np.abs(around - middle[:, None]), axis=1)
-    return np.asarray((np.abs(moved - middle) > OUTLIER * spread + OUTLIER * OUTLIER_FLOOR_PX).any(axis=1))
+    followed = good[neighbours]
+    count = followed.sum(axis=1)
+    middle = _median_of_first(np.where(followed[..., None], moved[neighbours], np.inf), count)
+    away = np.where(followed[..., None], np.abs(moved[neighbours] - middle[:, None]), np.inf)
+    spread = _median_of_first(away, count)
+    unlike = (np.abs(moved - middle) > OUTLIER * spread + OUTLIER * OUTLIER_FLOOR_PX).any(axis=1)
+    return np.asarray(unlike | (count < FEWEST_NEIGHBOURS))
+
+
+def _median_of_first(values: Floats, count: Ints) -> Floats:
+    """Median (N, 2) of the `count` (N,) smallest of values (N, K, 2); 0 where there are none."""
+    ordered = np.sort(values, axis=1)
+    lower, upper = (np.maximum(k, 0)[:, None, None] for k in ((count - 1) // 2, count // 2))
+    upper = np.minimum(upper, values.shape[1] - 1)
+    both = np.take_along_axis(ordered, lower, axis=1) + np.take_along_axis(ordered, upper, axis=1)
+    return np.where((count > 0)[:, None], 0.5 * both[:, 0], 0.0)
 
 
 def _common_motion(moved: Floats, good: Bools) -> Floats:
