@@ -89,8 +89,7 @@ METRICS: tuple[Metric, ...] = (
     Metric("time", "time", "frame", "Time of the frame."),
 )
 
-IDENTITY = ("movie", "beat", "frame", "subdomain", "complete", "relaxed", "start_frame", "peak_frame", "stop_frame",
-            "reason")
+IDENTITY = ("beat", "frame", "subdomain", "complete", "relaxed", "start_frame", "peak_frame", "stop_frame", "reason")
 """Columns that name a row rather than measure something."""
 
 
