@@ -17,7 +17,6 @@ from microbundle.commands import settings_from
 from microbundle.config import Config, Params, merge
 from microbundle.errors import ConfigError
 
-
 Names = tuple[str, ...]
 
 

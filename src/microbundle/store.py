@@ -7,7 +7,7 @@ units and descriptions as attributes.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,7 @@ from .folder import write_whole
 from .metrics import tables
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 RESULT = "result.nc"
@@ -39,8 +40,9 @@ def save(analysis: Analysis, folder: Path | str, *, overwrite: bool = False,
     cannot be written, or exists and is not empty; `overwrite` replaces an older result, but nothing else.
     """
     def write(into: Path) -> None:
-        save_netcdf(analysis, into / RESULT)
-        for name, table in tables(analysis).items():
+        made = tables(analysis)
+        save_netcdf(analysis, into / RESULT, made)
+        for name, table in made.items():
             table.to_csv(into / f"{name}.csv", index=False, float_format="%.7g", lineterminator="\n")
         if extra is not None:
             extra(into)
@@ -71,15 +73,18 @@ def load(path: Path | str) -> Analysis:
         raise ResultUnreadable(f"{file}: the result cannot be read: {error}") from None
 
 
-def save_netcdf(analysis: Analysis, file: Path) -> None:
-    """Write a result as one NetCDF file, with the tables in groups of their own. Raises OSError."""
+def save_netcdf(analysis: Analysis, file: Path, made: Mapping[str, pd.DataFrame] | None = None) -> None:
+    """Write a result as one NetCDF file, with the tables (`made`, where they are at hand) in groups of their own.
+
+    Raises OSError.
+    """
     import xarray as xr
 
     data = _to_dataset(analysis)
     packed = {name: {"zlib": True, "complevel": 1} for name, v in data.variables.items()
               if v.dtype.kind in "fiu" and v.size > 1000}
     data.to_netcdf(file, engine="h5netcdf", encoding=packed)
-    for name, table in tables(analysis).items():
+    for name, table in (made or tables(analysis)).items():
         if name in ("summary", "beats", "subdomains") and len(table):
             rows = xr.Dataset.from_dataframe(table.rename_axis("entry"))
             rows.to_netcdf(file, engine="h5netcdf", mode="a", group=f"tables/{name}")
@@ -164,6 +169,7 @@ def _from_dataset(data: xr.Dataset) -> Analysis:
     def get(name: str) -> Any:
         return data[name].values
 
+    settings = Config.from_dict(json.loads(attr["config"]), source="its settings")
     axis: dict[str, Any] = {k: np.array(v) if isinstance(v, list) else v
                             for k, v in json.loads(attr["axis"]).items()}
     masks = Masks(get("tissue") > 0, TissueAxis(**axis), **json.loads(attr["masks"]), findings=found["masks"])
@@ -184,7 +190,7 @@ def _from_dataset(data: xr.Dataset) -> Analysis:
     return Analysis(
         name=str(attr["name"]), image=get("image"), time_s=get("time") if "time" in data else None,
         time_source=attr["time_source"], um_per_px=float(attr["um_per_px"]) if "um_per_px" in attr else None,
-        um_per_px_source=attr["um_per_px_source"], config=Config.model_validate_json(attr["config"]), masks=masks,
+        um_per_px_source=attr["um_per_px_source"], config=settings, masks=masks,
         markers=markers, tracks=tracks, beats=beats,
         grid=Grid(get("grid_point"), (rows, cols), get("grid_displacement")), strain=strain,
         movie_findings=found["movie"], files=tuple(json.loads(attr["files"])), input_hash=str(attr["input_hash"]),
