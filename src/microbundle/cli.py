@@ -15,7 +15,8 @@ from .errors import ConfigError, MicrobundleError
 INTERRUPTED = 130
 
 app = App(name="microbundle", help="Displacement, strain and beat metrics from movies of cardiac microbundles.",
-          version_flags=["--version"], help_format="plaintext", default_parameter=Parameter(negative_iterable=()))
+          version_flags=["--version"], help_format="plaintext", default_parameter=Parameter(negative_iterable=()),
+          suppress_keyboard_interrupt=False)
 app.command("microbundle.commands:analyze", name="analyze", help="Measure one movie and write a folder of results.")
 app.command("microbundle.commands:export", name="export", help="Write a result in another layout.")
 app.command("microbundle.commands:demo", name="demo", help="Render a small beating tissue with known motion, analyze "
