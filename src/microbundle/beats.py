@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from .config import BeatParams, Config
-from .contraction import contraction_signal, frame_noise, without_trend
+from .contraction import contraction_signal, frame_noise, mean_absolute, without_trend
 from .data import Beats, Bools, Finding, Floats, Ints, Masks, Movie, Tracks
 
 SMALLEST_SHARE = 0.25
@@ -159,7 +159,7 @@ def _beats(tracks: Tracks, cut: Cut, noise: float, why_none: str) -> Beats:
         relaxed[:] = True
     rest = _mean_position(tracks.position_px[relaxed])
     moved = tracks.position_px[:, tracks.kept] - rest[tracks.kept]
-    signal = _mean_over_markers(np.hypot(moved[..., 0], moved[..., 1]))
+    signal = mean_absolute(moved)
     beats = Beats(signal, noise, np.array(cut.start, int), np.array(cut.peak, int), np.array(cut.stop, int),
                   np.array(cut.complete, bool), relaxed, rest, beat_relaxed, "default")
     return _with_findings(beats, why_none)
@@ -211,9 +211,3 @@ def _mean_position(position_px: Floats) -> Floats:
     seen: Bools = np.isfinite(position_px)
     total = np.where(seen, position_px, 0).sum(axis=0, dtype=float)
     return np.asarray(np.divide(total, seen.sum(axis=0), out=np.full(total.shape, np.nan), where=seen.any(axis=0)))
-
-
-def _mean_over_markers(length_px: Floats) -> Floats:
-    seen = np.isfinite(length_px)
-    total = np.where(seen, length_px, 0).sum(axis=1, dtype=float)
-    return np.asarray(np.divide(total, seen.sum(axis=1), out=np.full(len(total), np.nan), where=seen.any(axis=1)))

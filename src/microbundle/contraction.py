@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .data import Floats
+from .data import Floats, known
 
 MAX_POINTS = 250
 CLEARLY_REPEATS = 0.8
@@ -19,12 +19,11 @@ CLEARLY_REPEATS = 0.8
 
 def contraction_signal(displacement_px: Floats, points_px: Floats, direction: Floats) -> Floats:
     """Project displacements (T, N, 2) of points (N, 2) on their common pattern: (T,) in px, root mean square over
-    points, contraction positive. `direction` (2,) is the tissue's axis. A still movie gives zeros."""
+    points, contraction positive. `direction` (2,) is the tissue's axis. A still movie gives zeros. Points that are missing
+    in a frame (NaN) take the median of the others there, frames without any what lies between their neighbours."""
     step = max(1, len(points_px) // MAX_POINTS)
     u, x = displacement_px[:, ::step].astype(float), points_px[::step]
-    u = np.where(np.isfinite(u), u, np.nanmedian(np.where(np.isfinite(u), u, np.nan), axis=1, keepdims=True))
-    u = np.nan_to_num(u)
-    flat = u.reshape(len(u), -1)
+    flat = _complete(u)
     moving = without_trend(flat)
     _, vectors = np.linalg.eigh(moving.T @ moving)
     pattern = vectors[:, -1]
@@ -32,6 +31,28 @@ def contraction_signal(displacement_px: Floats, points_px: Floats, direction: Fl
     if not signal.any():
         return np.zeros(len(flat))
     return np.asarray(signal * _sign(without_trend(signal[:, None])[:, 0], pattern.reshape(-1, 2), x, direction))
+
+
+def mean_absolute(displacement_px: Floats) -> Floats:
+    """Average the lengths of displacements (T, N, 2) over the points that are known: (T,), NaN where none is."""
+    seen = known(displacement_px)
+    total = np.where(seen, np.hypot(displacement_px[..., 0], displacement_px[..., 1]), 0).sum(axis=1, dtype=float)
+    return np.asarray(np.divide(total, seen.sum(axis=1), out=np.full(len(total), np.nan), where=seen.any(axis=1)))
+
+
+def _complete(displacement_px: Floats) -> Floats:
+    """Fill what is missing in displacements (T, N, 2), first from the other points, then from other frames: (T, 2N)."""
+    seen = known(displacement_px)
+    some = seen.any(axis=1)
+    if not some.any():
+        return np.zeros((len(seen), 2 * seen.shape[1]))
+    out = np.where(seen[..., None], displacement_px, np.nan)
+    out[some] = np.where(seen[some][..., None], out[some], np.nanmedian(out[some], axis=1, keepdims=True))
+    flat = out.reshape(len(out), -1)
+    if not some.all():
+        lost, there = np.flatnonzero(~some), np.flatnonzero(some)
+        flat[lost] = np.stack([np.interp(lost, there, column) for column in flat[there].T], axis=1)
+    return flat
 
 
 def without_trend(series: Floats) -> Floats:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from .analysis import Analysis
+from .contraction import mean_absolute
 from .data import Beats, Floats, Strain
 
 if TYPE_CHECKING:
@@ -155,7 +156,8 @@ def _clock(analysis: Analysis) -> Floats:
 
 
 def beat_signal(analysis: Analysis) -> Floats:
-    """Mean absolute displacement (T,) in px of each frame from the relaxed state of the beat nearest to it."""
+    """Mean absolute displacement (T,) in px of each frame from the relaxed state of the beat nearest to it; NaN in a
+    frame in which no marker was followed."""
     beats, tracks = analysis.beats, analysis.tracks
     if len(beats) == 0:
         return beats.signal_px
@@ -164,9 +166,7 @@ def beat_signal(analysis: Analysis) -> Floats:
     for b in range(len(beats)):
         frames = beats.nearest_beat == b
         moved = tracks.position_px[frames][:, kept] - beats.beat_relaxed_px[b, kept].astype(np.float32)
-        length = np.hypot(moved[..., 0], moved[..., 1])
-        seen = np.isfinite(length)
-        out[frames] = np.where(seen, length, 0).sum(axis=1, dtype=float) / np.maximum(seen.sum(axis=1), 1)
+        out[frames] = mean_absolute(moved)
     return out
 
 
@@ -182,7 +182,8 @@ def parabola_peak(signal: Floats, frame: int) -> float:
 def _beat_rows(analysis: Analysis) -> Iterator[dict[str, object]]:
     beats, clock = analysis.beats, _clock(analysis)
     signal = beat_signal(analysis)
-    tops = [int(a + np.argmax(signal[a:b])) for a, b in zip(beats.start, beats.stop, strict=True)]
+    followed = np.where(np.isfinite(signal), signal, -np.inf)
+    tops = [int(a + np.argmax(followed[a:b])) for a, b in zip(beats.start, beats.stop, strict=True)]
     peaks = np.interp([parabola_peak(signal, t) for t in tops], np.arange(len(clock)), clock)
     # A beat that the movie cuts off on its way has its largest value at the cut, which is not its peak.
     seen = np.array([0 < t < len(signal) - 1 for t in tops])
@@ -190,7 +191,7 @@ def _beat_rows(analysis: Analysis) -> Iterator[dict[str, object]]:
                for b in range(len(tops))]
     for b, (start, stop, top) in enumerate(zip(beats.start, beats.stop, tops, strict=True)):
         resting = np.zeros(len(signal), bool)
-        resting[start:stop] = beats.relaxed[start:stop]
+        resting[start:stop] = beats.relaxed[start:stop] & np.isfinite(signal[start:stop])
         level = float(signal[resting].mean()) if resting.any() else 0.0
         complete = bool(beats.complete[b])
         values = {
@@ -209,6 +210,8 @@ def beat_strain(strain: Strain, start: int, stop: int, clock: Floats, period: fl
     names = ("e_cc_peak", "e_cc_min", "e_cc_max", "e_cc_heterogeneity", "extending_fraction", "synchrony_sd",
              "synchrony_sd_of_period", "synchrony_sd_null", "synchrony_correlation", "synchrony_correlation_null")
     E_cc = strain.E[start:stop, :, 1, 1]
+    seen = np.isfinite(E_cc).any(axis=1)  # a frame in which all markers are lost costs no sub-domain
+    E_cc, times = E_cc[seen], clock[start:stop][seen]
     E_cc = E_cc[:, np.isfinite(E_cc).all(axis=0)]
     if E_cc.size == 0 or not complete:
         return dict.fromkeys(names, np.nan)
@@ -216,7 +219,7 @@ def beat_strain(strain: Strain, start: int, stop: int, clock: Floats, period: fl
     top = int(np.argmin(mean))
     values = [float(mean[top]), float(E_cc.min()), float(E_cc.max()), float(E_cc[top].std()),
               float((E_cc[top] > 0).mean())]
-    return dict(zip(names, values + synchrony(np.abs(E_cc), clock[start:stop], period), strict=True))
+    return dict(zip(names, values + synchrony(np.abs(E_cc), times, period), strict=True))
 
 
 def synchrony(traces: Floats, clock: Floats, period: float) -> list[float]:

@@ -18,12 +18,14 @@ from scipy.spatial import cKDTree
 
 from .config import Config
 from .data import Bools, Finding, Floats, Ints, Markers, Masks, Movie, Tracks
+from .errors import CannotMeasure
 from .scaling import Scaling, movie_scaling, stretch_each
 
 FIRST_WINDOW_PX = 17
 WINDOW_STEP_PX = 8
 WINDOW_ROUNDS = 3
 ACCEPTABLE_LOSS = 0.05
+FEWEST_FOLLOWED = 12
 PYRAMID = 3
 STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 NEIGHBOURS = 8
@@ -41,7 +43,10 @@ PAPER_ROUNDS = 15
 
 def track_markers(movie: Movie, masks: Masks, markers: Markers, config: Config,
                   tell: Callable[[float], None]) -> Tracks:
-    """Follow the markers through all frames; `tell` hears the share of frames done."""
+    """Follow the markers through all frames; `tell` hears the share of frames done.
+
+    Raises CannotMeasure where nearly all of them are lost.
+    """
     if config.method == "paper":
         return _paper_tracks(movie, markers, config.tracking.window_px, tell)
     return _reference_tracks(movie, masks.tissue, markers, config, tell)
@@ -67,6 +72,11 @@ def _reference_tracks(movie: Movie, tissue: Bools, markers: Markers, config: Con
         window += WINDOW_STEP_PX
     assert best is not None
     loss, position, ok, misses, window = best
+    followed = int((ok.mean(axis=0) >= 0.5).sum())
+    if followed < min(FEWEST_FOLLOWED, len(start)):
+        raise CannotMeasure(f"{movie.name}: expected at least {FEWEST_FOLLOWED} points of the tissue that could be "
+                            f"followed through half of the frames; found {followed} of {len(start)}. Do the frames "
+                            "show one and the same tissue, in focus?")
     position += scaling.origin.astype(np.float32)
     position[~ok] = np.nan
     findings: tuple[Finding, ...] = ()
