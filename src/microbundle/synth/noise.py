@@ -104,7 +104,7 @@ class NoiseModel:
 
 
 def perlin(shape: tuple[int, ...], octaves: float, seed: int | tuple[int, ...]) -> Floats:
-    """Make one layer of gradient noise (R, C) that runs from 0 to 1, with `octaves` square cells along the longer side."""
+    """Make a layer of gradient noise (R, C) from 0 to 1, with `octaves` square lattice cells along the longer side."""
     if not octaves > 0:
         raise ValueError(f"octaves: expected more than 0, found {octaves}")
     entropy = [seed, 35] if isinstance(seed, int) else [*seed, 35]
