@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from microbundle.axis import measure_axis
+from microbundle.errors import CannotMeasure
 from microbundle.published import paper_frame, paper_width, without_border
 
 
@@ -28,7 +29,7 @@ def test_box_takes_the_highest_contour():
 
 
 def test_mask_without_tissue_inside_the_border_has_no_box():
-    with pytest.raises(ValueError, match="contour"):
+    with pytest.raises(CannotMeasure, match="10 px from the picture's border"):
         paper_frame(rectangle(slice(0, 10), slice(0, 200)))
 
 

@@ -19,8 +19,11 @@ CLEARLY_REPEATS = 0.8
 
 def contraction_signal(displacement_px: Floats, points_px: Floats, direction: Floats) -> Floats:
     """Project displacements (T, N, 2) of points (N, 2) on their common pattern: (T,) in px, root mean square over
-    points, contraction positive. `direction` (2,) is the tissue's axis. A still movie gives zeros. Points that are missing
-    in a frame (NaN) take the median of the others there, frames without any what lies between their neighbours."""
+    points, contraction positive. `direction` (2,) is the tissue's axis. A still movie gives zeros.
+
+    Points that are missing in a frame (NaN) take the median of the others there; frames without any, what lies
+    between the frames around them.
+    """
     step = max(1, len(points_px) // MAX_POINTS)
     u, x = displacement_px[:, ::step].astype(float), points_px[::step]
     flat = _complete(u)

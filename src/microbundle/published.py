@@ -16,6 +16,7 @@ import numpy as np
 from scipy import ndimage
 
 from .data import Bools, Floats
+from .errors import CannotMeasure
 
 Mask = TypeVar("Mask", Bools, Floats)
 
@@ -58,7 +59,7 @@ class PaperFrame:
 def paper_frame(tissue: Bools) -> PaperFrame:
     """Find the published tool's axis of a mask (R, C), which stays as it is.
 
-    Raises ValueError where the mask has no contour inside the image's border.
+    Raises CannotMeasure where the mask has no contour inside the image's border.
     """
     mask = without_border(tissue)
     box = paper_box(mask)
@@ -66,7 +67,8 @@ def paper_frame(tissue: Bools) -> PaperFrame:
     length = np.hypot(side[:, 0], side[:, 1])
     longer = int(np.argmax(length))
     if length[longer] == 0:
-        raise ValueError("tissue: too small for the published tool's box")
+        raise CannotMeasure("method paper: expected a tissue mask of more than a point; the published tool's box around "
+                            "it has no length")
     frame = PaperFrame(0.5 * (box[0] + box[2]), side[longer] / length[longer], mask, mask)
     if not frame.turned:
         return frame
@@ -79,7 +81,7 @@ def paper_box(mask: Bools | Floats) -> Floats:
     """Find the integer corners (4, 2) of the smallest rectangle around the first contour of a mask (R, C), which may
     have been turned and then has values between 0 and 1.
 
-    Raises ValueError where there is no contour inside the 10 px border.
+    Raises CannotMeasure where there is no contour inside the 10 px border.
     """
     smooth: Floats = ndimage.gaussian_filter(without_border(np.asarray(mask, float)), SIGMA_PX, mode="nearest")
     points = _first_contour(smooth, LEVEL).astype(np.int32)
@@ -90,7 +92,7 @@ def paper_width(frame: PaperFrame) -> float:
     """Measure the width in pixels: last minus first tissue pixel in the column of the level mask's box centre.
 
     The pixel that a count would add is left out, holes are ignored, and a pixel that the turn fills in part counts.
-    Raises ValueError where that column holds no tissue.
+    Raises CannotMeasure where that column holds no tissue.
     """
     level = _level_for_width(frame, margin=0)
     if level.sum() < LEAST_KEPT * frame.mask.sum():
@@ -98,7 +100,8 @@ def paper_width(frame: PaperFrame) -> float:
     box = paper_box(level)
     row = np.flatnonzero(level[:, int(0.5 * (box[0, 1] + box[2, 1]))])
     if row.size == 0:
-        raise ValueError("tissue: the column of the published tool's box centre holds no tissue")
+        raise CannotMeasure("method paper: expected tissue in the column of the published tool's box centre; there is "
+                            "none, so it has no width")
     return float(row[-1] - row[0])
 
 
@@ -142,6 +145,7 @@ def _first_contour(image: Floats, level: float) -> Floats:
                                np.maximum(low[here][at], low[there][at])], axis=1))
     point, pair = np.concatenate(crossings), np.concatenate(pairs)
     if len(point) == 0:
-        raise ValueError("tissue: the published tool finds no contour in a mask without tissue inside a 10 px border")
+        raise CannotMeasure("method paper: expected tissue farther than 10 px from the picture's border, where the "
+                            "published tool looks for a contour; the mask has none")
     first = np.lexsort((point[:, 1], point[:, 0]))[0]
     return np.asarray(point[(pair == pair[first]).all(axis=1)])
