@@ -67,8 +67,8 @@ def paper_frame(tissue: Bools) -> PaperFrame:
     length = np.hypot(side[:, 0], side[:, 1])
     longer = int(np.argmax(length))
     if length[longer] == 0:
-        raise CannotMeasure("method paper: expected a tissue mask of more than a point; the published tool's box around "
-                            "it has no length")
+        raise CannotMeasure("method paper: expected a tissue mask of more than a point; the published tool's box "
+                            "around it has no length")
     frame = PaperFrame(0.5 * (box[0] + box[2]), side[longer] / length[longer], mask, mask)
     if not frame.turned:
         return frame
