@@ -118,6 +118,7 @@ def validate(*, cases: str = "frontier", method: Literal["default", "paper"] = "
     texture
         A movie of yours: its own relaxed frame is moved by a known field, at several amplitudes and under its own
         noise, and the error to expect on that microscope is printed.
+        The amplitude is the peak of the mean absolute displacement of the whole tissue.
     fps
         Frames per second of that movie.
     um_per_px
@@ -134,7 +135,7 @@ def validate(*, cases: str = "frontier", method: Literal["default", "paper"] = "
     from .cases import case_set
     from .microscope import texture_cases
     from .validate import Row, run_validation
-    from .validation_tables import CASE, SUMMARY, case_rows, summary_rows, write_tables
+    from .validation_tables import EXPECTED, SHORT, columns, summary_rows, write_tables
 
     if workers < 1:
         raise ConfigError(f"--workers: expected at least 1; found {workers}")
@@ -166,11 +167,13 @@ def validate(*, cases: str = "frontier", method: Literal["default", "paper"] = "
         write_figures(chosen, rows, folder)
     if not quiet:
         if noise is not None:
-            print(f"noise (share of full scale): tissue {noise.tissue:.2g}, ground {noise.ground:.2g}, "
+            print(f"noise, as a share of full scale: tissue {noise.tissue:.2g}, ground {noise.ground:.2g}; "
                   f"neighbouring pixels correlated by {noise.correlation:.2f}")
-            print_rows(title, CASE, case_rows(rows))
-        else:
-            print_rows(title, SUMMARY, summary_rows(rows))
+        shown = SHORT if noise is None else EXPECTED
+        print_rows(title, shown, columns(summary_rows(rows), shown))
+        for row in rows:
+            if not row.measured:
+                print(f"{row.case}: {row.status}")
         print(f"results: {folder}")
     return 0
 

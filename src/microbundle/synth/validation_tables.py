@@ -66,6 +66,19 @@ def summary_rows(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     return out
 
 
+SHORT = ("regime", "movies", "measured", "peak MAD error, worst", "E_cc MAE / peak, worst", "paper", "goal")
+"""What fits on a screen."""
+
+EXPECTED = ("regime", "movies", "measured", "peak MAD error, worst", "E_cc MAE / peak, worst", "RMSE px, worst",
+            "beats missed")
+"""What to expect on a microscope, by amplitude."""
+
+
+def columns(rows: Sequence[tuple[str, ...]], chosen: Sequence[str]) -> list[tuple[str, ...]]:
+    """Take columns of `summary_rows` by their names."""
+    return [tuple(row[SUMMARY.index(name)] for name in chosen) for row in rows]
+
+
 def case_rows(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     """Make one line of text for each movie: case, amplitude, errors, status."""
     return [(r.case, _number(r.scores["true_mad_px"]), _percent(r.scores["mad_error_pct"], sign=True),
