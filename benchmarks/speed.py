@@ -65,7 +65,8 @@ def stages(folder: Path) -> dict[str, float]:
 def start_up() -> dict[str, float]:
     """CPU seconds of `import microbundle` and `microbundle --help`, the best of five, with compiled bytecode."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-    commands = {"import microbundle": ["-c", "import microbundle"], "microbundle --help": ["-m", "microbundle", "--help"],
+    commands = {"import microbundle": ["-c", "import microbundle"],
+                "microbundle --help": ["-m", "microbundle", "--help"],
                 "microbundle analyze --help": ["-m", "microbundle", "analyze", "--help"]}
     out = {}
     for name, command in commands.items():
