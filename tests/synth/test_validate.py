@@ -111,10 +111,11 @@ def test_rows_survive_json():
 
 def test_sets_are_what_they_say():
     sets = {name: case_set(name) for name in SETS}
-    assert {n: len(s) for n, s in sets.items()} == {"paper": 416, "type2": 3, "frontier": 30, "still": 8, "smoke": 3}
+    assert {n: len(s) for n, s in sets.items()} == {"paper": 416, "type2": 3, "frontier": 30, "still": 8,
+                                                    "patchwork": 4, "smoke": 3}
     for cases in sets.values():
         assert len({c.name for c in cases}) == len({c.key for c in cases}) == len(cases)
-        assert {c.group for c in cases} <= set(GROUPS)
+        assert {c.group.removesuffix(" (patchwork)") for c in cases} <= set(GROUPS)
     assert len({c.scene_key for c in sets["paper"]}) == 16
     assert sum(c.noise.perlin_ratio == 0 for c in sets["paper"]) == 16
     # Every movie of the frontier has a texture of its own.

@@ -106,7 +106,7 @@ def validate(*, cases: str = "frontier", method: Literal["default", "paper"] = "
     Parameters
     ----------
     cases
-        Set of movies: paper (416), type2, frontier, still or smoke.
+        Set of movies: frontier (30), paper (416), type2, still, patchwork or smoke.
     method
         Method of analysis that is validated.
     workers
