@@ -1,9 +1,13 @@
 """Hand-clicked points beside a result: exact clicks agree, rough ones say how rough they are."""
 
+import json
+
 import numpy as np
 import pytest
 
-from microbundle.errors import CannotMeasure, MovieUnreadable
+from microbundle.errors import CannotMeasure, MovieUnreadable, OutputError
+from microbundle.store import save
+from microbundle.synth import commands
 from microbundle.synth.cases import case_set
 from microbundle.synth.manual import compare_clicks, read_clicks
 
@@ -49,6 +53,21 @@ def test_two_people_spread(perfect, tmp_path):
     # Mean length of a plane vector with sqrt(2 (0.1^2 + 0.3^2)) in each direction.
     assert one.spread_px == pytest.approx(np.sqrt(np.pi / 2) * np.sqrt(2 * 0.1), rel=0.3)
     assert one.r2_col > two.r2_col
+
+
+def test_the_command(tissue_analysis, tmp_path, capsys):
+    points = tissue_analysis.tracks.position_px[:, tissue_analysis.tracks.ok.all(axis=0)][:, ::40]
+    clicks = tmp_path / "c.csv"
+    clicks.write_text("person,point,frame,row,col\n" + "".join(
+        f"me,{k},{t},{row},{col}\n" for t in range(4, 16) for k, (row, col) in enumerate(points[t])))
+    result = save(tissue_analysis, tmp_path / "result")
+    assert commands.compare_clicks(result, clicks, out=tmp_path / "table.csv", json=True) == 0
+    people = json.loads(capsys.readouterr().out)["people"]
+    assert people[0]["r2_col"] > 0.98
+    assert people[1]["person"] == "all"
+    assert (tmp_path / "table.csv").read_text().startswith("person,points,clicks,r2_row")
+    with pytest.raises(OutputError, match="not replaced"):
+        commands.compare_clicks(result, clicks, out=tmp_path / "table.csv")
 
 
 def test_wrong_files_are_refused(perfect, tmp_path):

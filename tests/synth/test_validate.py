@@ -7,6 +7,7 @@ import pytest
 
 from microbundle.config import Config
 from microbundle.errors import ConfigError, OutputError
+from microbundle.synth import commands
 from microbundle.synth import validate as module
 from microbundle.synth.cases import GROUPS, SETS, case_set
 from microbundle.synth.scenes import FPS
@@ -90,6 +91,19 @@ def test_tables_and_figures(run):
     pictures = write_figures(case_set("smoke"), rows, folder)
     assert {p.stem for p in pictures} == {"error_by_amplitude", "curves_smoke-clean", "curves_smoke-noisy"}
     assert all(p.with_suffix(".pdf").stat().st_size > 1000 for p in pictures)
+
+
+def test_the_command(tmp_path, capsys):
+    out = tmp_path / "v"
+    assert commands.validate(cases="smoke", only="*-still", out=out, figures=False) == 0
+    said = capsys.readouterr().out
+    assert "1/1 smoke-still: measured" in said
+    assert "motionless" in said
+    assert {p.name for p in out.iterdir()} == {LEDGER, "traces", "scores.csv", "summary.csv", "summary.md"}
+    with pytest.raises(ConfigError, match="no case fits"):
+        commands.validate(cases="smoke", only="none*", out=out)
+    with pytest.raises(ConfigError, match="--workers"):
+        commands.validate(cases="smoke", workers=0, out=out)
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path):

@@ -16,6 +16,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -116,6 +117,9 @@ def run_validation(cases: Sequence[Case], config: Config, folder: Path | str, *,
                 for future in as_completed([pool.submit(_listed, batch, config, folder, wanted) for batch in batches]):
                     for row in future.result():
                         finished(row)
+            except BrokenProcessPool:
+                raise MicrobundleError("a worker ended before its movie was scored, perhaps for want of memory; start "
+                                       "again with fewer --workers, finished movies are kept") from None
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
