@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.metadata import version
 from itertools import groupby
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
@@ -257,7 +257,13 @@ def _listed(batch: Sequence[Case], config: Config, folder: Path, keys: Mapping[s
     import cv2
 
     cv2.setNumThreads(1)
-    return list(run_batch(batch, config, folder, keys))
+    rows = []
+    for row in run_batch(batch, config, folder, keys):
+        rows.append(row)
+        parent = parent_process()
+        if parent is not None and not parent.is_alive():  # killed: nobody will ever hear of the rest
+            os._exit(1)
+    return rows
 
 
 @contextmanager
