@@ -161,7 +161,7 @@ def test_a_still_movie_is_written_with_exit_code_3(tissue_array: Image, elsewher
     (["analyze", "m", "--fps"], "parameter --fps requires an argument"),
     (["analyze", "m", "--fps", "fast"], "fps: expected a valid number"),
     (["analyze", "m", "--fps", "0"], "fps: expected greater than 0; found '0'"),
-    (["analyze", "m", "--method", "papre"], "method: expected 'default' or 'paper'; found 'papre'"),
+    (["analyze", "m", "--method", "papre"], "method: expected 'default', 'accurate', 'fast' or 'paper'; found 'papre'"),
     (["analyze", "m", "--tracking.window-px", "3"], "tracking.window_px: expected greater than or equal to 5"),
     (["analyze", "m", "--strain.tiles", "3"], "parameter --strain.tiles requires 2"),
     (["analyze", "m", "--reading.crop-px", "9", "1", "0", "5"], "must be first row < end row"),

@@ -34,7 +34,8 @@ EXAMPLES: dict[str, Any] = {
     "method": "paper", "fps": 25.0, "um_per_px": 0.5, "axis_deg": -10.0, "reading.crop_px": [1, 50, 2, 60],
     "reading.stop_frame": 40, "reading.kernel": [[0.0, 1.0, 0.0]] * 3, "reading.drop_flashes": True,
     "mask.method": "sobel", "tracking.window_px": 31, "tracking.reference_frame": 3, "grid.method": "thin_plate",
-    "grid.extrapolate": True, "strain.tiles": [3, 5], "strain.extents_px": [10.0, 50.0, 10.0, 90.0],
+    "grid.extrapolate": True, "registration.whiten": "never",
+    "registration.threads": 1, "strain.tiles": [3, 5], "strain.extents_px": [10.0, 50.0, 10.0, 90.0],
 }
 
 
@@ -129,7 +130,7 @@ def test_settings_are_frozen() -> None:
     ("fps = 0", "fps: expected greater than 0; found 0"),
     ("fps = nan", "fps: expected a finite number"),
     ("fps = inf", "fps: expected a finite number"),
-    ("method = 'papre'", "method: expected 'default' or 'paper'; found 'papre'"),
+    ("method = 'papre'", "method: expected 'default', 'accurate', 'fast' or 'paper'; found 'papre'"),
     ("mask = 3", "mask: expected"),
     ("[tracking]\nwindow_px = 3", "tracking.window_px: expected greater than or equal to 5; found 3"),
     ("[tracking]\nwindow_px = 21.5", "tracking.window_px: expected a valid integer"),

@@ -66,8 +66,8 @@ def test_markers_cover_the_tissue_evenly_and_nothing_else():
 
 
 def test_coverage_is_as_asked_for():
-    counts = [len(place_markers(movie(textured()), masks(), 0, Config.from_dict({"markers": {"coverage_px": c}})))
-              for c in (30, 60, 120)]
+    configs = [Config.from_dict({"method": "fast", "markers": {"coverage_px": c}}) for c in (30, 60, 120)]
+    counts = [len(place_markers(movie(textured()), masks(), 0, config)) for config in configs]
     assert counts[0] > 1.4 * counts[1] > 1.4 * counts[2]
     config = Config.from_dict({"markers": {"max_count": 50}})
     assert len(place_markers(movie(textured()), masks(), 0, config)) == 50
@@ -102,7 +102,7 @@ def test_partly_flat_tissue_gets_a_finding():
 
 def test_markers_lie_on_the_frame_that_is_asked_for():
     frames = np.stack([np.roll(textured(), 3 * t, axis=1) for t in range(3)]).astype(np.uint16)
-    found = [place_markers(Movie.from_array(frames), masks(), t, Config()) for t in (0, 2)]
+    found = [place_markers(Movie.from_array(frames), masks(), t, Config(method="fast")) for t in (0, 2)]
     assert [m.reference_frame for m in found] == [0, 2]
     shifted = found[0].position_px + np.array([0, 6])
     near = np.hypot(*(shifted[:, None] - found[1].position_px).transpose(2, 0, 1)).min(axis=1)
@@ -115,3 +115,12 @@ def test_published_method_gives_the_same_markers_whatever_the_brightness():
     other = place_markers(movie(textured() * 1.5 + 4000), masks(), 0, Config(method="paper"))
     assert len(one) == pytest.approx(len(other), rel=0.03)
     assert one.spacing_px in (3, 4, 5)
+
+
+def test_a_field_is_sampled_evenly_over_the_whole_tissue():
+    found = place_markers(movie(textured()), masks(), 0, Config())
+    assert len(found) >= 500
+    inside = masks().tissue[tuple(np.rint(found.position_px).astype(int).T)]
+    assert inside.all()
+    steps = np.unique(np.diff(np.unique(found.position_px[:, 1])).round(3))
+    assert len(steps) == 1

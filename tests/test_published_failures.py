@@ -241,7 +241,7 @@ def test_sub_domain_without_texture_is_nan_with_a_reason(frames, plain):
     painted[:, r0:r0 + 24, c0:c0 + 24] = np.median(painted[0][plain.masks.tissue])
     found = microbundle.analyze(as_movie(painted, tissue_mask=plain.masks.tissue), SMALL)
     assert found.strain.label == plain.strain.label
-    assert "markers" in found.strain.reason[0]
+    assert "texture" in found.strain.reason[0]
     assert np.isnan(found.strain.F[:, 0]).all()
     assert found.strain.reason[-1] == ""
     assert np.isfinite(found.strain.F[:, -1]).all()
@@ -322,7 +322,7 @@ def test_filters_and_trimming_leave_the_users_frames_as_they_are(frames, tmp_pat
     assert content(tmp_path / "mine") == before
     assert found[0].frame_count == 32
     # running twice filters once
-    np.testing.assert_array_equal(found[0].tracks.position_px, found[1].tracks.position_px)
+    np.testing.assert_allclose(found[0].tracks.position_px, found[1].tracks.position_px, atol=1e-3)
 
 
 def test_frames_and_mask_in_memory_are_left_as_they_are(frames, plain):

@@ -11,7 +11,8 @@ from microbundle.config import Config
 from microbundle.data import Beats, Masks, Strain, Tracks
 from microbundle.errors import CannotMeasure
 from microbundle.geometry import rotation, to_image
-from microbundle.strain import Tiling, fit_gradient, measure_strain, place_tiles
+from microbundle.strain import fit_gradient, measure_strain
+from microbundle.tiles import Tiling, place_tiles
 
 gradients = arrays(float, (2, 2), elements=st.floats(-0.3, 0.3)).map(lambda G: np.eye(2) + G)
 quick = settings(max_examples=50, deadline=None, derandomize=True)

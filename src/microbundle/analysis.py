@@ -10,7 +10,7 @@ import numpy as np
 
 from .config import Config
 from .data import Beats, Finding, Floats, Grid, Image, Markers, Masks, Source, Strain, Tracks, Verdict
-from .field import inside_tissue, interpolate
+from .field import checked_points, inside_tissue, interpolate
 from .geometry import to_tissue
 
 
@@ -77,7 +77,13 @@ class Analysis:
         """
         rest = self.beats.relaxed_px
         tissue = None if extrapolate else self.masks.tissue
-        moved = interpolate(rest, self.tracks.position_px - rest, points_px, method=method, tissue=tissue)
+        if self.tracks.field is None:
+            moved = interpolate(rest, self.tracks.position_px - rest, points_px, method=method, tissue=tissue)
+        else:
+            points = checked_points(points_px)
+            moved = self.tracks.field.from_rest(points, self.beats.relaxed)
+            if tissue is not None:
+                moved[:, ~inside_tissue(points, tissue)] = np.nan
         if relative_to == "beat" and len(self.beats):
             drift = interpolate(rest, self.beats.beat_relaxed_px - rest, points_px, method=method, tissue=tissue)
             moved = moved - drift[self.beats.nearest_beat]

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Ge, Gt, Le, Lt
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator, model_validator
 
 from .errors import ConfigError
 
-Method = Literal["default", "paper"]
+Method = Literal["default", "accurate", "fast", "paper"]
 
 
 class Params(BaseModel):
@@ -90,6 +90,17 @@ class TrackingParams(Params):
     """Relaxed frame that all others are compared with; by default found by itself."""
 
 
+class RegistrationParams(Params):
+    """How the displacement field is measured, for the method `accurate`."""
+
+    knot_px: Annotated[int, Ge(6), Le(48)] = 12
+    """Distance between the knots of the displacement field: smaller shows finer detail and more noise."""
+    whiten: Literal["auto", "never"] = "auto"
+    """Filter structured noise where that lowers the error, or never."""
+    threads: Annotated[int, Ge(1)] | None = None
+    """Frames that are worked on at the same time; by default one for each processor."""
+
+
 class BeatParams(Params):
     """How the movie is cut into beats."""
 
@@ -145,9 +156,9 @@ class StrainParams(Params):
 class Config(Params):
     """All settings of an analysis."""
 
-    method: Method = "default"
-    """`default` is robust and follows every frame against the relaxed tissue; `paper` reproduces the published
-    MicroBundleCompute, faults included, for comparison."""
+    method: Method = "accurate"
+    """`accurate`, the default, registers every frame against the relaxed tissue; `fast` follows single markers;
+    `paper` reproduces the published MicroBundleCompute, faults included, for comparison."""
     fps: Annotated[float, Gt(0)] | None = None
     """Frames per second, where the file does not say (a given value wins over the file's)."""
     um_per_px: Annotated[float, Gt(0)] | None = None
@@ -162,12 +173,19 @@ class Config(Params):
     """Which points are followed."""
     tracking: TrackingParams = TrackingParams()
     """How points are followed."""
+    registration: RegistrationParams = RegistrationParams()
+    """How the displacement field is measured."""
     beats: BeatParams = BeatParams()
     """How the movie is cut into beats."""
     grid: GridParams = GridParams()
     """The grid on which displacement is interpolated."""
     strain: StrainParams = StrainParams()
     """How the tissue is divided for strain."""
+
+    @field_validator("method")
+    @classmethod
+    def _name(cls, method: Method) -> Method:
+        return "accurate" if method == "default" else method
 
     @classmethod
     def from_dict(cls, settings: dict[str, Any], *, source: str = "config") -> Config:

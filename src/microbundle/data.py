@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-
-    pass
+    from .field import Field
 
 Floats = NDArray[np.floating[Any]]
 Ints = NDArray[np.integer[Any]]
@@ -190,6 +189,10 @@ class Tracks:
     """Side of the square patch that was compared."""
     forward_backward_px: Floats | None = None
     """Median over frames of the distance by which tracking there and back misses, per marker (N,)."""
+    field: Field | None = None
+    """The displacement field that the markers were sampled from, for the accurate method."""
+    residual: Floats | None = None
+    """(T,): what the field leaves unexplained of each frame, in standard deviations of the tissue's grey values."""
     findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:

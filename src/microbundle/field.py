@@ -1,4 +1,6 @@
-"""Displacement at any point, from displacements at scattered markers.
+"""Displacement at any point, from a spline on knots or from displacements at scattered markers.
+
+The accurate method measures a `Field`, a cubic B-spline that covers the tissue. Scattered markers are interpolated:
 
 `local` fits a plane to the 16 markers around each point, near ones counting more (moving least squares; P. Lancaster
 and K. Salkauskas, Math. Comput. 37, 1981): it averages noise, and is exact for a uniform strain. `thin_plate` is the
@@ -7,16 +9,83 @@ paper's interpolation, a thin-plate spline through every marker; one factorisati
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from .data import Bools, Floats, known
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
 AROUND = 16
+TEXTURE_CELL_PX = 4
 CLOSE_PX = 3
 """Holes and gaps of the mask up to twice this width count as tissue."""
 FRAMES_AT_ONCE = 500
+
+
+@dataclass(frozen=True)
+class Field:
+    """Displacement of the tissue from the reference frame to every frame, as a cubic B-spline."""
+
+    coefficients: Floats
+    """(T, 2, K, L): component, knot row, knot column; in px."""
+    origin_px: Floats
+    """Image position (2,) of the corner of the first cell of knots."""
+    spacing_px: float
+    """Distance between knots."""
+    texture: Floats
+    """(A, B): how much texture there is in cells of 4 px from `origin_px` on, the mean squared slope of the grey value
+    in any unit, NaN outside the tissue."""
+
+    def basis(self, points_px: Floats) -> csr_matrix:
+        """Weights (P, K L) of the knots at image points (P, 2) of the reference frame."""
+        return spline_basis((np.asarray(points_px, float) - self.origin_px) / self.spacing_px,
+                            self.coefficients.shape[2], self.coefficients.shape[3])
+
+    def at(self, points_px: Floats) -> Floats:
+        """Displacement (T, P, 2) in px of image points (P, 2) of the reference frame."""
+        return self.weighted(self.basis(points_px))
+
+    def from_rest(self, points_px: Floats, relaxed: Bools) -> Floats:
+        """Displacement (T, P, 2) in px of points (P, 2) of the relaxed image, from the mean of the frames (T,) in
+        which the tissue rests."""
+        points = np.asarray(points_px, float)
+        rest = self.at(points)[relaxed].mean(axis=0)
+        moved = self.at(points - rest)  # the reference frame is itself only nearly at rest
+        return np.asarray(moved - moved[relaxed].mean(axis=0))
+
+    def texture_at(self, points_px: Floats) -> float:
+        """Mean texture around points (P, 2), as a share of the tissue's median."""
+        cell = ((np.asarray(points_px, float) - self.origin_px) // TEXTURE_CELL_PX).astype(int)
+        cell = np.clip(cell, 0, np.array(self.texture.shape) - 1)
+        here, usual = self.texture[tuple(cell.T)], float(np.nanmedian(self.texture))
+        here = here[np.isfinite(here)]
+        return float(here.mean() / usual) if len(here) and usual > 0 else 0.0
+
+    def weighted(self, weights: csr_matrix | Floats) -> Floats:
+        """Weighted sums (T, P, 2) of the coefficients, for weights (P, K L)."""
+        count = len(self.coefficients)
+        flat = self.coefficients.reshape(2 * count, -1)
+        return np.asarray((weights @ flat.T).T.reshape(count, 2, -1).transpose(0, 2, 1), np.float32)
+
+
+def spline_basis(place: Floats, rows: int, cols: int) -> csr_matrix:
+    """Cubic B-splines of `rows` x `cols` knots at places (P, 2) counted in cells: (P, rows cols); beyond the knots the
+    outermost cell's polynomial goes on for half a cell and then stays."""
+    from scipy.sparse import csr_matrix
+
+    cell = np.clip(np.floor(place).astype(int), 0, [rows - 4, cols - 4])
+    f = np.clip(place - cell, -0.5, 1.5)
+    weight = [np.stack([(1 - t) ** 3, 4 - 6 * t**2 + 3 * t**3, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3], axis=1) / 6
+              for t in (f[:, 0], f[:, 1])]
+    a, b = (i.ravel() for i in np.meshgrid(range(4), range(4), indexing="ij"))
+    values = weight[0][:, a] * weight[1][:, b]
+    index = (cell[:, :1] + a) * cols + cell[:, 1:] + b
+    return csr_matrix((values.ravel(), (np.repeat(np.arange(len(place)), 16), index.ravel())),
+                      shape=(len(place), rows * cols))
 
 
 def interpolate(markers_px: Floats, displacement_px: Floats, points_px: Floats, *,
@@ -26,9 +95,7 @@ def interpolate(markers_px: Floats, displacement_px: Floats, points_px: Floats, 
     Where `tissue` (R, C) is given, points outside it are NaN. Markers that are missing in a frame (NaN) are filled
     from their neighbours. Raises ValueError for fewer than three usable markers.
     """
-    points = np.atleast_2d(np.asarray(points_px, float))
-    if points.ndim != 2 or points.shape[1] != 2:
-        raise ValueError(f"points_px: expected shape (points, 2) in the order (row, col), found {np.shape(points_px)}")
+    points = checked_points(points_px)
     usable = np.asarray((known(displacement_px).mean(axis=0) >= 0.5) & known(markers_px))
     if usable.sum() < 3:
         raise ValueError(f"expected at least 3 markers with displacements; found {int(usable.sum())}")
@@ -39,6 +106,14 @@ def interpolate(markers_px: Floats, displacement_px: Floats, points_px: Floats, 
         spread = _local if method == "local" else _thin_plate
         out[:, inside] = spread(markers, moved, points[inside])
     return out
+
+
+def checked_points(points_px: Floats) -> Floats:
+    """Take points as an array (P, 2); raises ValueError for another shape."""
+    points = np.atleast_2d(np.asarray(points_px, float))
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"points_px: expected shape (points, 2) in the order (row, col), found {np.shape(points_px)}")
+    return points
 
 
 def inside_tissue(points_px: Floats, tissue: Bools) -> Bools:

@@ -9,7 +9,7 @@ import numpy as np
 
 from .config import Config
 from .data import Beats, Grid, Masks, Tracks
-from .field import interpolate
+from .field import inside_tissue, interpolate
 from .geometry import to_image, to_tissue
 
 
@@ -22,8 +22,14 @@ def interpolate_grid(tracks: Tracks, beats: Beats, masks: Masks, config: Config)
              for a, b in zip(low, high, strict=True)]
     level = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
     points = to_image(level, axis.center_px, axis.direction)
-    moved = interpolate(beats.relaxed_px, tracks.position_px - beats.relaxed_px.astype(np.float32), points,
-                        method=params.method, tissue=None if params.extrapolate else masks.tissue)
+    tissue = None if params.extrapolate else masks.tissue
+    if tracks.field is not None:
+        moved = tracks.field.from_rest(points, beats.relaxed)
+        if tissue is not None:
+            moved[:, ~inside_tissue(points, tissue)] = np.nan
+    else:
+        moved = interpolate(beats.relaxed_px, tracks.position_px - beats.relaxed_px.astype(np.float32), points,
+                            method=params.method, tissue=tissue)
     return Grid(points, (len(lines[0]), len(lines[1])), moved)
 
 

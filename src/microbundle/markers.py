@@ -7,10 +7,12 @@ The quality level and the spacing are tuned to the texture until there is one ma
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
-from .config import Config
+from .config import Config, MarkerParams
 from .data import Bools, Finding, Floats, Markers, Masks, Movie
 from .errors import NoTexture
 from .geometry import to_tissue
@@ -28,6 +30,8 @@ SPACING = 0.6
 """Smallest distance between markers, as a share of the mean distance that the wanted coverage gives."""
 QUALITY_STEP = 10 ** (-0.1)
 QUALITY_ROUNDS = 15
+LATTICE_POINTS = 600
+"""Points at which a displacement field is sampled at least."""
 TILE_PX = 20
 SPARSE_SHARE = 0.25
 
@@ -41,6 +45,8 @@ def place_markers(movie: Movie, masks: Masks, reference_frame: int, config: Conf
         markers = _paper_markers(movie, masks.tissue, config)
     else:
         markers = _even_markers(movie, masks.tissue, reference_frame, config)
+    if config.method == "accurate" and len(markers) >= MIN_MARKERS:
+        markers = replace(markers, position_px=_lattice(masks.tissue, config.markers))
     if len(markers) < MIN_MARKERS:
         raise NoTexture(f"{movie.name}: expected at least {MIN_MARKERS} points that can be followed in the tissue; "
                         f"found {len(markers)}. Is the movie in focus, and does the mask lie on the tissue?")
@@ -67,6 +73,17 @@ def _even_markers(movie: Movie, tissue: Bools, reference_frame: int, config: Con
     findings = _sparse_findings(found, scaling.tissue)
     return Markers(found + scaling.origin, reference_frame, quality, spacing,
                    float(tissue.sum()) / max(len(found), 1), findings)
+
+
+def _lattice(tissue: Bools, params: MarkerParams) -> Floats:
+    """Points of a square lattice in the tissue, where a displacement field is sampled evenly."""
+    area = float(tissue.sum())
+    spacing = np.sqrt(max(min(params.coverage_px, area / LATTICE_POINTS), area / params.max_count))
+    rows, cols = np.flatnonzero(tissue.any(axis=1)), np.flatnonzero(tissue.any(axis=0))
+    lines = [np.arange(a[0] + 0.5 * spacing, a[-1] + 1, spacing) for a in (rows, cols)]
+    points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    near = np.minimum(np.rint(points).astype(int), np.array(tissue.shape) - 1)
+    return np.asarray(points[tissue[tuple(near.T)]])
 
 
 def _paper_markers(movie: Movie, tissue: Bools, config: Config) -> Markers:

@@ -16,6 +16,7 @@ from .markers import place_markers
 from .mask import find_masks
 from .read import calibrated, content_hash, prepare
 from .reference import find_relaxed_frame
+from .register import register
 from .strain import measure_strain
 from .track import track_markers
 
@@ -41,7 +42,8 @@ def analyze(movie: Movie, config: Config | None = None, *, masks: Masks | None =
     stage(tell, "finding a relaxed frame", 0.1, 0.25)
     reference_frame = find_relaxed_frame(movie, masks, config)
     markers = place_markers(movie, masks, reference_frame, config)
-    tracks = track_markers(movie, masks, markers, config, stage(tell, "tracking", 0.25, 0.9))
+    follow = register if config.method == "accurate" else track_markers
+    tracks = follow(movie, masks, markers, config, stage(tell, "tracking", 0.25, 0.9))
     stage(tell, "beats and strain", 0.9, 1.0)
     beats = find_beats(tracks, masks, movie, config)
     grid = interpolate_grid(tracks, beats, masks, config)

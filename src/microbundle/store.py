@@ -18,6 +18,7 @@ from .analysis import Analysis
 from .config import Config
 from .data import Beats, Finding, Grid, Markers, Masks, Strain, TissueAxis, Tracks
 from .errors import ResultUnreadable
+from .field import Field
 from .folder import write_whole
 from .metrics import tables
 
@@ -106,6 +107,16 @@ def _to_dataset(a: Analysis) -> xr.Dataset:
     if a.tracks.forward_backward_px is not None:
         put("forward_backward", ("marker",), a.tracks.forward_backward_px, "px",
             "median distance by which tracking there and back misses")
+    if a.tracks.field is not None:
+        f = a.tracks.field
+        put("field", ("frame", "axis", "knot_row", "knot_col"), f.coefficients, "px",
+            "cubic B-spline coefficients of the displacement from the reference frame")
+        put("field_texture", ("texture_row", "texture_col"), f.texture, "1", "mean squared slope of the grey value")
+        put("field_origin", ("axis",), f.origin_px, "px", "image position of the first knot cell's corner")
+        put("field_spacing", (), f.spacing_px, "px", "distance between knots")
+    if a.tracks.residual is not None:
+        put("residual", ("frame",), a.tracks.residual, "1", "what the field leaves unexplained, in standard deviations "
+            "of the tissue's grey values")
     if a.time_s is not None:
         put("time", ("frame",), a.time_s, "s", "time of each frame")
     b = a.beats
@@ -174,8 +185,11 @@ def _from_dataset(data: xr.Dataset) -> Analysis:
                             for k, v in json.loads(attr["axis"]).items()}
     masks = Masks(get("tissue") > 0, TissueAxis(**axis), **json.loads(attr["masks"]), findings=found["masks"])
     markers = Markers(get("marker_reference"), **json.loads(attr["markers"]), findings=found["markers"])
+    field = None if "field" not in data else Field(
+        get("field"), get("field_origin"), float(get("field_spacing")), get("field_texture"))
     tracks = Tracks(get("position"), get("followed") > 0, **json.loads(attr["tracks"]), findings=found["tracks"],
-                    forward_backward_px=get("forward_backward") if "forward_backward" in data else None)
+                    forward_backward_px=get("forward_backward") if "forward_backward" in data else None,
+                    field=field, residual=get("residual") if "residual" in data else None)
     noise = json.loads(attr["beats"])
     beats = Beats(
         get("mean_absolute_displacement"), _number(noise["noise_px"]), get("beat_start"), get("beat_peak"),

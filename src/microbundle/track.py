@@ -84,7 +84,7 @@ def _reference_tracks(movie: Movie, tissue: Bools, markers: Markers, config: Con
         findings = (Finding("markers_lost", "review" if loss < 0.5 else "fail",
                             f"{loss:.0%} of all marker positions were lost; large motion, changing focus or little "
                             "texture does this", loss, ACCEPTABLE_LOSS),)
-    return Tracks(position, ok, "default", markers.reference_frame, window, misses, findings)
+    return Tracks(position, ok, "fast", markers.reference_frame, window, misses, findings=findings)
 
 
 def _track_all(movie: Movie, scaling: Scaling, reference: int, start: Floats, neighbours: Ints,

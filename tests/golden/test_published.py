@@ -9,7 +9,7 @@ import pytest
 
 import microbundle
 from microbundle.field import interpolate
-from microbundle.strain import place_tiles
+from microbundle.tiles import place_tiles
 
 FRAMES = 76
 

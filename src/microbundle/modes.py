@@ -1,0 +1,70 @@
+"""Pool all frames: keep the motion patterns that recur in time, and drop what is only noise.
+
+The displacement of a beating tissue is a few spatial patterns times their courses in time (proper orthogonal
+decomposition). In the metric of the registration's matrix noise is the same in every direction, so the patterns come
+out strongest first. A pattern is kept where its course is smoother than noise could be, or where it stands far above
+the noise and is not a single bad frame. Where nothing moves, none is kept. Nothing is smoothed in time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .bspline import Float32
+from .data import Bools, Floats
+
+FRAMES_AT_ONCE = 1500
+MOST_MODES = 12
+
+
+@dataclass(frozen=True)
+class Modes:
+    """The temporal patterns that were kept."""
+
+    course: Floats
+    """(T, M): orthonormal courses in time of the kept modes; the mean is kept besides."""
+    strength: Floats
+    """(M,): singular values in the metric of the matrix, in units of grey value."""
+    autocorrelation: Floats
+    """(12,) or fewer: lag-1 autocorrelation of the strongest courses."""
+
+    @property
+    def rank(self) -> int:
+        return int(self.course.shape[1])
+
+    def project(self, series: Floats) -> Floats:
+        """Keep of series (T, ...) their mean and what follows the kept courses."""
+        flat = series.reshape(len(series), -1)
+        mean = flat.mean(axis=0)
+        kept = self.course @ (self.course.T @ (flat - mean)) + mean
+        return np.asarray(kept.reshape(series.shape), series.dtype)
+
+
+def find_modes(unknowns: Floats, factor: Float32) -> Modes:
+    """Find the modes of unknowns (T, n) in the metric of the matrix whose Cholesky factor (D, n) is given as a band."""
+    centred = unknowns - unknowns.mean(axis=0)
+    weighted = np.zeros(centred.shape)
+    width, n = factor.shape
+    for d in range(min(width, n)):  # weighted = centred @ L, diagonal by diagonal
+        weighted[:, :n - d] += centred[:, d:] * factor[d, :n - d]
+    course, strength, _ = np.linalg.svd(weighted, full_matrices=False)
+    return _kept(course, strength, len(unknowns), n)
+
+
+def _kept(course: Floats, strength: Floats, frames: int, unknowns: int) -> Modes:
+    strong = course[:, :MOST_MODES]
+    smooth = (strong[1:] * strong[:-1]).sum(axis=0)
+    noise = float(np.median(strength[:max(frames - 1, 1)])) * _edge(frames, unknowns)
+    above = strength[:MOST_MODES] / max(noise, 1e-12)
+    single = (strong**2).max(axis=0) > 0.5
+    chance = 1 / np.sqrt(frames)  # standard deviation of the autocorrelation of white noise
+    keep: Bools = (smooth > 3.5 * chance) | ((above > 1) & (smooth > 1.5 * chance)) | ((above > 4) & ~single)
+    return Modes(strong[:, keep], strength[:MOST_MODES][keep], smooth)
+
+
+def _edge(frames: int, unknowns: int) -> float:
+    """Largest over median singular value of pure noise (M. Gavish and D. Donoho, IEEE Trans. Inf. Theory 60, 2014)."""
+    b = min(frames, unknowns) / max(frames, unknowns)
+    return 0.56 * b**3 - 0.95 * b**2 + 1.82 * b + 1.43
