@@ -21,6 +21,12 @@ app.command("microbundle.commands:analyze", name="analyze", help="Measure one mo
 app.command("microbundle.commands:export", name="export", help="Write a result in another layout.")
 app.command("microbundle.commands:demo", name="demo", help="Render a small beating tissue with known motion, analyze "
             "it, and print what was measured beside the truth.")
+app.command("microbundle.synth.commands:simulate", name="simulate", help="Render a movie with exactly known motion, in "
+            "the paper's layout, with its truth beside it.")
+app.command("microbundle.synth.commands:validate", name="validate", help="Measure the pipeline's error on movies whose "
+            "motion is known, or on your own texture.")
+app.command("microbundle.synth.commands:compare_clicks", name="compare-clicks", help="Compare a result with points "
+            "that people followed by hand.")
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -100,7 +100,8 @@ class Template:
     With `even_light`, brightness may change only for the whole picture at once.
     """
 
-    def __init__(self, knots: Knots, coefficients: Float32, bending: float = BENDING, *, even_light: bool = False) -> None:
+    def __init__(self, knots: Knots, coefficients: Float32, bending: float = BENDING, *,
+                 even_light: bool = False) -> None:
         runs = knots.runs
         self.knots = knots
         self.f, self.gr, self.gc = (np.empty(runs.count, np.float32) for _ in range(3))

@@ -225,7 +225,8 @@ class _Passes:
         return coefficients, bright, (total / max(used, 1)).astype(np.float32)
 
     def _coarse_to_fine(self, picture: Float32, whole: Float32) -> Fit:
-        p, bright = np.zeros(self.levels[0].knots.shape, np.float32), np.zeros(BRIGHTNESS)
+        p: Float32 = np.zeros(self.levels[0].knots.shape, np.float32)
+        bright: Floats = np.zeros(BRIGHTNESS)
         for i, (level, reduction) in enumerate(zip(self.levels[:-1], self.reductions[:-1], strict=True)):
             part = _coefficients(_reduced(picture, reduction))
             fit = level.fit([part], [p], [bright], COARSE_STEPS, COARSE_TOLERANCE_PX)[0]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from ..commands import Switch
+from ..config import Method
 from ..errors import ConfigError, OutputError
 
 
@@ -95,7 +96,7 @@ def simulate(*, out: Path, physics: Literal["analytic", "fe", "sheet"] = "analyt
     return 0
 
 
-def validate(*, cases: str = "frontier", method: Literal["default", "paper"] = "default", workers: int = 1,
+def validate(*, cases: str = "frontier", method: Method = "accurate", workers: int = 1,
              out: Path | None = None, only: str | None = None, texture: Path | None = None,
              fps: float | None = None, um_per_px: float | None = None, tissue_mask: Path | None = None,
              figures: bool = True, quiet: Switch = False) -> int:
