@@ -1,5 +1,9 @@
 """The accurate method on movies with known motion: errors far below those of following single markers."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -104,3 +108,13 @@ def test_field_is_stored_and_comes_back(clean, tmp_path):
     again = microbundle.load(microbundle.save(analysis, tmp_path / "out"))
     points = made.truth.points_px(9)
     np.testing.assert_array_equal(again.displacement_at(points), analysis.displacement_at(points))
+
+
+def test_nothing_is_read_or_written_beyond_an_array(tmp_path):
+    code = ("from microbundle import Config, analyze; from microbundle.synth.render import beating_tissue; "
+            "made = beating_tissue((137, 211), 12, peak_px=1.5, seed=1); "
+            "print(analyze(made.movie, Config.from_dict({'strain': {'tile_px': 16}})).tracks.method)")
+    checked = {**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}  # a cache of its own
+    done = subprocess.run([sys.executable, "-c", code], env=checked, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "accurate"

@@ -38,14 +38,17 @@ BRIGHTNESS = 6
 
 
 class Knots:
-    """Knots of a cubic B-spline over a mask (R, C), `spacing` pixels apart, the first cell starting at pixel `lead`."""
+    """Knots of a cubic B-spline over a mask (R, C), `spacing` pixels apart, the first cell starting at pixel `lead`.
 
-    def __init__(self, mask: Bools, lead: int, spacing: int) -> None:
+    They reach `reach` pixels beyond the mask at its lower and right ends; nothing may be sampled beyond the knots.
+    """
+
+    def __init__(self, mask: Bools, lead: int, spacing: int, reach: int = 0) -> None:
         self.runs = Runs.of(mask)
         self.lead, self.spacing = lead, spacing
         self.table = bspline.knot_weights(spacing)
-        self.rows = int((self.runs.row.max() - lead) // spacing) + 4
-        self.cols = int((self.runs.stop.max() - 1 - lead) // spacing) + 4
+        self.rows = int((self.runs.row.max() + reach - lead) // spacing) + 4
+        self.cols = int((self.runs.stop.max() - 1 + reach - lead) // spacing) + 4
         self.count = 2 * self.rows * self.cols
 
     @property
@@ -157,6 +160,9 @@ class Template:
             step = self.solve(right[:, now]) - self.border @ bright_step
             for j, i in enumerate(now.tolist()):
                 largest = float(np.abs(step[:, j]).max())
+                if not np.isfinite(largest):  # no texture at all: stay, and let the residual tell
+                    active[i] = False
+                    continue
                 short = min(1.0, LONGEST_STEP_PX / max(largest, 1e-12))
                 p[i] -= np.float32(short) * knots.grid(step[:, j]).astype(np.float32)
                 b[i] -= short * bright_step[:, j]

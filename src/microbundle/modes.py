@@ -60,7 +60,7 @@ def _kept(course: Floats, strength: Floats, frames: int, unknowns: int) -> Modes
     above = strength[:MOST_MODES] / max(noise, 1e-12)
     single = (strong**2).max(axis=0) > 0.5
     chance = 1 / np.sqrt(frames)  # standard deviation of the autocorrelation of white noise
-    keep: Bools = (smooth > 3.5 * chance) | ((above > 1) & (smooth > 1.5 * chance)) | ((above > 4) & ~single)
+    keep: Bools = (smooth > 3.5 * chance) | ((above > 1.3) & (smooth > 2.5 * chance)) | ((above > 4) & ~single)
     return Modes(strong[:, keep], strength[:MOST_MODES][keep], smooth)
 
 

@@ -36,6 +36,8 @@ EDGE_PX = 4
 """Pixels this near to the mask's border do not count: the ground shines through there."""
 LEAD_PX = 24
 """Margin around the tissue, for motion and for filters; a multiple of 8."""
+KNOT_LEAD_PX = 16
+"""Where the knots begin: TEMPLATE_MARGIN_PX and more before the tissue."""
 LEVELS = (8, 4, 2, 1)
 """Reductions of the picture, coarse to fine."""
 FEWEST_PIXELS = 150
@@ -97,7 +99,7 @@ class Window:
         """Mean squared slope of the template in cells of 4 px inside the margin, NaN where there is no tissue."""
         energy = np.zeros(self.size, np.float32)
         energy[self.mask] = template.gr**2 + template.gc**2
-        cells = [a[LEAD_PX:, LEAD_PX:] for a in (energy, self.mask.astype(np.float32))]
+        cells = [a[KNOT_LEAD_PX:, KNOT_LEAD_PX:] for a in (energy, self.mask.astype(np.float32))]
         total, share = (_reduced(np.ascontiguousarray(a), TEXTURE_CELL_PX) for a in cells)
         return np.divide(total, share, out=np.full(share.shape, np.nan, np.float32), where=share > 0.3)
 
@@ -144,7 +146,7 @@ def register(movie: Movie, masks: Masks, markers: Markers, config: Config, tell:
         raise CannotMeasure(f"{movie.name}: expected a tissue whose picture can be followed; only {good.mean():.0%} of "
                             "the frames could be followed. Is there tissue under the mask, and is it in focus?")
     pool_frames(coefficients, good, template)
-    field = Field(coefficients, window.origin + float(LEAD_PX), float(params.knot_px),
+    field = Field(coefficients, window.origin + float(KNOT_LEAD_PX), float(params.knot_px),
                   window.texture(template))
     position = field.at(markers.position_px) + markers.position_px.astype(np.float32)
     position[~good] = np.nan
@@ -194,7 +196,8 @@ class _Passes:
     def _level(self, reduction: int, first: Float32) -> Template:
         share = _reduced(self.window.mask.astype(np.float32), reduction)
         mask = share > 0.99 if (share > 0.99).any() else share > 0.5
-        return Template(Knots(mask, LEAD_PX // reduction, self.spacing), _coefficients(_reduced(first, reduction)),
+        knots = Knots(mask, KNOT_LEAD_PX // reduction, self.spacing, TEMPLATE_MARGIN_PX)
+        return Template(knots, _coefficients(_reduced(first, reduction)),
                         BENDING if reduction == 1 else COARSE_BENDING, even_light=reduction > 1)
 
     def coarse_to_fine(self, tell: Callable[[float], None] = lambda _: None,
