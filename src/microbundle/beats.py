@@ -158,7 +158,7 @@ def _beats(tracks: Tracks, cut: Cut, noise: float, why_none: str) -> Beats:
     if not cut.peak:
         relaxed[:] = True
     rest = _mean_position(tracks.position_px[relaxed])
-    moved = tracks.position_px[:, tracks.kept] - rest[tracks.kept]
+    moved = tracks.position_px[:, tracks.kept] - rest[tracks.kept].astype(np.float32)
     signal = mean_absolute(moved)
     beats = Beats(signal, noise, np.array(cut.start, int), np.array(cut.peak, int), np.array(cut.stop, int),
                   np.array(cut.complete, bool), relaxed, rest, beat_relaxed, "default")

@@ -23,7 +23,7 @@ AROUND = 16
 TEXTURE_CELL_PX = 4
 CLOSE_PX = 3
 """Holes and gaps of the mask up to twice this width count as tissue."""
-FRAMES_AT_ONCE = 500
+FRAMES_AT_ONCE = 200
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,8 @@ class Field:
         points = np.asarray(points_px, float)
         rest = self.at(points)[relaxed].mean(axis=0)
         moved = self.at(points - rest)  # the reference frame is itself only nearly at rest
-        return np.asarray(moved - moved[relaxed].mean(axis=0))
+        moved -= moved[relaxed].mean(axis=0)
+        return moved
 
     def texture_at(self, points_px: Floats) -> float:
         """Mean texture around points (P, 2), as a share of the tissue's median."""
@@ -68,8 +69,12 @@ class Field:
     def weighted(self, weights: csr_matrix | Floats) -> Floats:
         """Weighted sums (T, P, 2) of the coefficients, for weights (P, K L)."""
         count = len(self.coefficients)
-        flat = self.coefficients.reshape(2 * count, -1)
-        return np.asarray((weights @ flat.T).T.reshape(count, 2, -1).transpose(0, 2, 1), np.float32)
+        out = np.empty((count, weights.shape[0], 2), np.float32)
+        for first in range(0, count, FRAMES_AT_ONCE):  # so that memory does not grow with the frames
+            part = self.coefficients[first:first + FRAMES_AT_ONCE]
+            sums = weights @ part.reshape(2 * len(part), -1).T
+            out[first:first + len(part)] = sums.T.reshape(len(part), 2, -1).transpose(0, 2, 1)
+        return out
 
 
 def spline_basis(place: Floats, rows: int, cols: int) -> csr_matrix:

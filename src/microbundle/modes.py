@@ -15,7 +15,8 @@ import numpy as np
 from .bspline import Float32
 from .data import Bools, Floats
 
-FRAMES_AT_ONCE = 1500
+FRAMES_AT_ONCE = 500
+"""Longer movies are pooled in stretches, so that memory does not grow with the frames."""
 MOST_MODES = 12
 
 
@@ -49,8 +50,9 @@ def find_modes(unknowns: Floats, factor: Float32) -> Modes:
     width, n = factor.shape
     for d in range(min(width, n)):  # weighted = centred @ L, diagonal by diagonal
         weighted[:, :n - d] += centred[:, d:] * factor[d, :n - d]
-    course, strength, _ = np.linalg.svd(weighted, full_matrices=False)
-    return _kept(course, strength, len(unknowns), n)
+    square, course = np.linalg.eigh(weighted @ weighted.T)
+    strength = np.sqrt(np.maximum(square[::-1], 0.0))
+    return _kept(course[:, ::-1], strength, len(unknowns), n)
 
 
 def _kept(course: Floats, strength: Floats, frames: int, unknowns: int) -> Modes:

@@ -26,7 +26,7 @@ from .mask_files import find_supplied_masks
 from .prepare import Prepared, find_flashes
 from .tiff import SUFFIXES, TiffFiles, TiffPages, axis_note, check_magic, colour_note, page_count
 
-CACHE_BYTES = 96 * 2**20
+CACHE_BYTES = 64 * 2**20
 """Decoded frames that are kept, so that short movies are decoded once although several stages read them."""
 
 

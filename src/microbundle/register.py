@@ -43,13 +43,15 @@ LEVELS = (8, 4, 2, 1)
 FEWEST_PIXELS = 150
 """A reduced picture with fewer pixels of tissue says nothing reliable."""
 COARSE_BENDING = 0.1
-COARSE_STEPS, COARSE_TOLERANCE_PX = 12, 2e-3
-FINE_STEPS, TEMPLATE_STEPS = 2, 3
-"""Full-resolution steps in pass A and pass B; more change the field by less than its noise."""
+COARSE_STEPS, COARSE_TOLERANCE_PX = 5, 2e-3
+FINE_STEPS = 1
+"""Of pass A at full resolution; half resolution is right to 0.03 px already, which blurs no template."""
+TEMPLATE_STEPS, TEMPLATE_TOLERANCE_PX = 6, 1e-3
+"""Of pass B; real movies are then 0.0002 px (root mean square) from where 40 steps lead."""
 TEMPLATE_MARGIN_PX = 6
 BATCH = 4
 """Frames that share one pass over the factorised matrix."""
-SPECTRUM_FRAMES, TRIAL_FRAMES, TRIAL_SPACING_PX = 16, 24, 24
+SPECTRUM_FRAMES, TRIAL_FRAMES, TRIAL_SPACING_PX = 8, 24, 24
 OUTLIER = 3.0
 """A frame whose residual is this many times the usual one shows something else."""
 LOWEST_GAIN = 0.3
@@ -165,8 +167,7 @@ def followed(residual: Floats, bright: Floats) -> Bools:
 def pool_frames(coefficients: Float32, good: Bools, template: Template) -> None:
     """Keep in place only the motion patterns that recur in time; frames that are not good take no part."""
     frames = np.flatnonzero(good)
-    for first in range(0, len(frames), FRAMES_AT_ONCE):
-        part = frames[first:first + FRAMES_AT_ONCE]
+    for part in np.array_split(frames, -(-len(frames) // FRAMES_AT_ONCE)):
         modes = find_modes(template.knots.flat(coefficients[part]).astype(float), template.factor)
         coefficients[part] = modes.project(coefficients[part])
 
@@ -192,6 +193,9 @@ class _Passes:
         self.reductions = [n for n in LEVELS if n == 1 or pixels / n**2 >= FEWEST_PIXELS]
         self.levels = [self._level(n, first) for n in self.reductions]
         self.around = Runs.of(ndimage.binary_dilation(window.mask, iterations=TEMPLATE_MARGIN_PX))
+        _, y0, ys, x0, xs = self.levels[-1].scale
+        row, col = (a.astype(np.float32) for a in self.around.pixels())
+        self.place = (row - y0) * ys, (col - x0) * xs
 
     def _level(self, reduction: int, first: Float32) -> Template:
         share = _reduced(self.window.mask.astype(np.float32), reduction)
@@ -241,11 +245,12 @@ class _Passes:
         fine = self.levels[-1]
         out = np.empty(self.around.count, np.float32)
         bspline.pull_back(whole, *self.around.arrays, fine.knots.table, fine.knots.lead, fit.p, out)
-        row, col = self.around.pixels()
-        mean, y0, ys, x0, xs = fine.scale.tolist()
-        y, x, b = (row - y0) * ys, (col - x0) * xs, fit.bright
-        gain = 1 + b[0] + b[1] * y + b[2] * x
-        return np.asarray((out - (b[3] + b[4] * y + b[5] * x) - mean) / gain + mean, np.float32)
+        b = fit.bright.astype(np.float32)
+        y, x = self.place
+        out -= (b[3] + fine.scale[0]) + b[4] * y + b[5] * x
+        out /= (1 + b[0]) + b[1] * y + b[2] * x
+        out += fine.scale[0]
+        return out
 
     def template(self, mean: Float32) -> Template:
         """The template of the mean relaxed picture, with the reference frame's ground around it."""
@@ -263,7 +268,7 @@ class _Passes:
             first, pictures = item
             part = slice(first, first + len(pictures))
             return first, template.fit([_coefficients(p) for p in pictures], list(coefficients[part]),
-                                       list(bright[part]), TEMPLATE_STEPS)
+                                       list(bright[part]), TEMPLATE_STEPS, TEMPLATE_TOLERANCE_PX)
 
         batches = ((first, [self.window(self.movie.frames[t])
                             for t in range(first, min(first + BATCH, self.movie.count))])
