@@ -93,12 +93,11 @@ def _of_field(field: Field, beats: Beats, tiling: Tiling, tissue: Bools) -> Defo
     count, tiles = len(field.coefficients), len(boxes)
     F, shift = np.full((count, tiles, 2, 2), np.nan), np.full((count, tiles, 2), np.nan)
     number, reason = np.zeros(tiles, int), [""] * tiles
-    for s, (r0, r1, c0, c1) in enumerate(boxes):
-        lattice = np.stack(np.meshgrid(np.arange(r0 + 0.5 * LATTICE_PX, r1, LATTICE_PX),
-                                       np.arange(c0 + 0.5 * LATTICE_PX, c1, LATTICE_PX), indexing="ij"), -1)
-        points = lattice.reshape(-1, 2)
+    lattices = [_lattice(box) for box in boxes]
+    everywhere = inside_tissue(to_image(np.concatenate(lattices), tiling.center, tiling.direction), tissue)
+    parts = np.split(everywhere, np.cumsum([len(points) for points in lattices])[:-1])
+    for s, (points, inside) in enumerate(zip(lattices, parts, strict=True)):
         image = to_image(points, tiling.center, tiling.direction)
-        inside = inside_tissue(image, tissue)
         number[s] = inside.sum()
         if inside.mean() < MIN_TISSUE:
             reason[s] = f"{inside.mean():.0%} of it is tissue, needs {MIN_TISSUE:.0%}"
@@ -117,6 +116,13 @@ def _of_field(field: Field, beats: Beats, tiling: Tiling, tissue: Bools) -> Defo
         F[frames] = F[frames] @ np.linalg.inv(F[resting].mean(axis=0))
         shift[frames] -= shift[resting].mean(axis=0)
     return Deformation(F, shift, number, tuple(reason))
+
+
+def _lattice(box: Floats) -> Floats:
+    """Points (P, 2) that fill a tile evenly."""
+    r0, r1, c0, c1 = box
+    rows, cols = (np.arange(a + 0.5 * LATTICE_PX, b, LATTICE_PX) for a, b in ((r0, r1), (c0, c1)))
+    return np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def _rests(beats: Beats, relaxed: Bools) -> list[tuple[Bools, Bools]]:
