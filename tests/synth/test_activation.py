@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from microbundle.errors import ConfigError, MovieUnreadable
-from microbundle.synth.activation import Fibres, Inclusion, clipped_cosine, read_activation, red_noise
+from microbundle.synth.activation import Fibres, PassiveCore, clipped_cosine, read_activation, red_noise
 
 
 def test_cosine_is_clipped_and_beats_as_often_as_asked():
@@ -54,7 +54,7 @@ def test_fibres_turn_linearly(along, axis):
 @pytest.mark.parametrize(("rule", "border_um", "after"), [
     ("continuous", 100.0, 1.0), ("literal", 100.0, 0.01 / (0.009 + 0.1 * 0.1)), ("script", 316.2278, 1.0)])
 def test_three_readings_of_the_inclusion(rule, border_um, after):
-    inclusion = Inclusion((0.0, 0.0), 100.0, rule)
+    inclusion = PassiveCore((0.0, 0.0), 100.0, rule)
     at = np.array([[0.0, border_um * s] for s in (0.5, 0.9999, 1.0001, 3.0, 30.0)])
     share = inclusion.passive(at, np.zeros(2))
     np.testing.assert_allclose(share[:2], 1)

@@ -8,7 +8,7 @@ import pytest
 
 from microbundle.errors import CannotMeasure, ConfigError, MicrobundleError, ResultUnreadable
 from microbundle.synth import elements
-from microbundle.synth.activation import Fibres, Inclusion, clipped_cosine
+from microbundle.synth.activation import Fibres, PassiveCore, clipped_cosine
 from microbundle.synth.equilibrium import Assembly, solve_levels
 from microbundle.synth.material import PillarLaw, TissueLaw, active_tensor
 from microbundle.synth.mesh import extrude, triangulate
@@ -233,7 +233,7 @@ def test_solution_is_saved_and_read_back(coarse, tmp_path):
 def test_inclusion_and_fibres_through_the_depth(bundle, monkeypatch):
     monkeypatch.setitem(RESOLUTIONS, "rough", (220.0, 2))
     rough = solve_tissue(bundle, resolution="rough", levels=[0.04])
-    passive_core = solve_tissue(bundle, resolution="rough", levels=[0.04], inclusion=Inclusion(),
+    passive_core = solve_tissue(bundle, resolution="rough", levels=[0.04], inclusion=PassiveCore(),
                                 fibres=Fibres(along="depth"))
     assert passive_core.head_um[-1, 0, 1] < 0.9 * rough.head_um[-1, 0, 1]
     middle = np.hypot(*(rough.node_um[rough.strain_node, :2] - [149.5 * UM, 255.5 * UM]).T) < 100

@@ -81,7 +81,7 @@ class Fibres:
 
 
 @dataclass(frozen=True)
-class Inclusion:
+class PassiveCore:
     """A round passive region from which the activation recovers with distance (no inclusion: activation everywhere)."""
 
     center_um: tuple[float, float] | None = None

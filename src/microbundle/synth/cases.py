@@ -9,7 +9,7 @@
     smoke     three tiny movies for tests
 
 A case has a `group`, its regime in the table of results. The same case always gives the same movie, to the last
-count. All movies but those of `patchwork` have the exact renderer's truth (METHODS.md, section 4).
+count. All movies but those of `patchwork` have the exact renderer's truth.
 """
 
 from __future__ import annotations

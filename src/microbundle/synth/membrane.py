@@ -21,7 +21,7 @@ from scipy import sparse
 
 from ..data import Floats, Ints
 from ..errors import ConfigError
-from .activation import Fibres, Inclusion
+from .activation import Fibres, PassiveCore
 from .elements import Quadratic, nodal_strain, quadratic
 from .equilibrium import Block, Body, solve_levels
 from .material import SheetLaw, sheet_structure
@@ -38,7 +38,7 @@ SPACINGS = {"coarse": 75.0, "medium": 48.0, "fine": 30.0}
 REFERENCE_LENGTH_UM = 2000.0
 
 
-def solve_membrane(bundle: Bundle, *, fibres: Fibres = Fibres(), inclusion: Inclusion | None = None,  # noqa: B008
+def solve_membrane(bundle: Bundle, *, fibres: Fibres = Fibres(), inclusion: PassiveCore | None = None,  # noqa: B008
                    law: SheetLaw = SheetLaw(), resolution: Literal["coarse", "medium", "fine"] = "medium",  # noqa: B008
                    levels: Sequence[float] | Floats = LEVELS,
                    tell: Callable[[str], None] | None = None) -> TissueSolution:

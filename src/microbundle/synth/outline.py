@@ -5,7 +5,7 @@ four lengths. Lengths are micrometres, forces micronewtons and moduli megapascal
 1 uN/um^2). Points are (row, col), rows down, as everywhere; pixel (i, j) has its centre at (i, j) times um_per_px.
 
 Sources: the published tissue is 2.044 mm long and 0.4 mm thick, on pillars that are clamped 0.995 mm below its top
-(S1 Appendix and its script); pillar stiffness by beam theory, see METRICS.md.
+(S1 Appendix and its script); pillar stiffness by beam theory.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Every pixel x of frame t shows the material point X with X + u(X, t) = x. `invert` finds it by Newton's method on the
 motion's own displacement and deformation gradient, and the texture is sampled there; nothing is warped twice, and no
-pixel is moved by an approximate field, so the motion itself is the truth (METHODS.md, section 4). Where the motion is
+pixel is moved by an approximate field, so the motion itself is the truth. Where the motion is
 smooth, X - x is solved on a coarse grid and carried to the pixels by quintic interpolation; wherever that is off by
 more than `tolerance_px`, the grid is halved, in the end to the pixels themselves. Frames are rendered when they are
 asked for, and come out the same in any order.

@@ -22,10 +22,9 @@ from scipy import ndimage
 
 from ..data import Bools, Floats
 from ..errors import OutputError, ResultUnreadable
-from .activation import Fibres, Inclusion, clipped_cosine
+from .activation import Fibres, PassiveCore, clipped_cosine
 from .membrane import ALIGNED, FIBROUS, fibrous_sheet, solve_membrane
-from .motion import Inclusion as Passive
-from .motion import Motion, Rhythm, RigidMotion, TissueMotion
+from .motion import Inclusion, Motion, Rhythm, RigidMotion, TissueMotion
 from .outline import Bundle, inside
 from .render import Tapered
 from .solution import TissueSolution
@@ -163,7 +162,7 @@ class Analytic:
         passive = None
         if self.inclusion:
             middle = domain.points_px[3].mean(axis=0)
-            passive = Passive((float(middle[0]), float(middle[1])), 0.17 * self.side_px)
+            passive = Inclusion((float(middle[0]), float(middle[1])), 0.17 * self.side_px)
         usual = replace(rhythm, count=USUAL_FRAMES, amplitude_variation=0.0)
         unit = TissueMotion(usual, picture.center_px, picture.half_length_px, picture.half_width_px, 1.0,
                             angle_deg=self.angle_deg, delay_frames=self.delay_frames, inclusion=passive)
@@ -222,7 +221,7 @@ class Elements:
     def solution(self) -> TissueSolution:
         """Solve the bundle, or read the solution from the cache; one geometry serves all textures."""
         one = painted(self.shape, 1)
-        inclusion = Inclusion(radius_um=130.0) if self.passive else None
+        inclusion = PassiveCore(radius_um=130.0) if self.passive else None
         fibres = Fibres(along=self.fibres)
         name = repr(("elements", self.shape, self.passive, self.fibres, self.resolution, self.um_per_px))
         return _kept(name, lambda: solve_tissue(

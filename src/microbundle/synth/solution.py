@@ -20,7 +20,7 @@ from ..data import Floats, Ints
 from ..errors import OutputError, ResultUnreadable
 from .equilibrium import SolverLog
 from .outline import Pillar
-from .surface import SmoothSurface, TissueMotion, fit_surface
+from .surface import SmoothSurface, SurfaceMotion, fit_surface
 
 FORMAT = "microbundle tissue 1"
 
@@ -76,7 +76,8 @@ class TissueSolution:
         """The upper surface's motion as a smooth field, on a grid of half the mesh's spacing."""
         return fit_surface(self.node_um[:, :2], self.top, self.displacement_um, self.spacing_um / 2)
 
-    def motion(self, activation: Floats, um_per_px: float, origin_px: tuple[float, float] = (0.0, 0.0)) -> TissueMotion:
+    def motion(self, activation: Floats, um_per_px: float,
+               origin_px: tuple[float, float] = (0.0, 0.0)) -> SurfaceMotion:
         """Make the true motion of a movie with the activation (T,) in each frame.
 
         `origin_px` is the pixel (row, col) where the tissue's coordinates are 0; leave it for a tissue made from a
@@ -84,7 +85,7 @@ class TissueSolution:
         """
         if um_per_px <= 0:
             raise ValueError(f"um_per_px: expected a positive number, found {um_per_px}")
-        return TissueMotion(self.surface, self.activation, np.asarray(activation, float), um_per_px, origin_px)
+        return SurfaceMotion(self.surface, self.activation, np.asarray(activation, float), um_per_px, origin_px)
 
     def save(self, path: Path | str) -> Path:
         """Write everything to one .npz file, whole or not at all; raises OutputError where that is not possible."""

@@ -198,7 +198,7 @@ def _jump(point_um: Floats, six: Ints, u: Floats) -> float:
 
 
 @dataclass(frozen=True)
-class TissueMotion:
+class SurfaceMotion:
     """True motion of a tissue's upper surface in the pixels and frames of a movie.
 
     Displacement is measured from the unloaded state (activation 0), forward: it belongs to the material point that

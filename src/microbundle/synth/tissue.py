@@ -22,7 +22,7 @@ import numpy as np
 
 from ..data import Bools, Floats, Ints
 from ..errors import ConfigError
-from .activation import Fibres, Inclusion
+from .activation import Fibres, PassiveCore
 from .elements import Quadratic, nodal_strain, quadratic
 from .equilibrium import Block, Body, Levels, solve_levels
 from .material import Law, PillarLaw, TissueLaw, active_tensor
@@ -45,7 +45,7 @@ RESOLUTIONS: dict[str, tuple[float, int]] = {"coarse": (150.0, 2), "medium": (11
 REFERENCE_LENGTH_UM = 2000.0
 
 
-def solve_tissue(bundle: Bundle, *, fibres: Fibres = Fibres(), inclusion: Inclusion | None = None,  # noqa: B008
+def solve_tissue(bundle: Bundle, *, fibres: Fibres = Fibres(), inclusion: PassiveCore | None = None,  # noqa: B008
                  law: TissueLaw = TissueLaw(), resolution: Resolution = "medium",  # noqa: B008
                  levels: Sequence[float] | Floats = LEVELS,
                  tell: Callable[[str], None] | None = None) -> TissueSolution:
