@@ -4,10 +4,10 @@ A motion carries a material point X of the relaxed state to x = X + u(X, t). It 
 `render` draws its inverse, and a measurement is scored against `displacement_px` and `gradient`. Any class with
 `count`, `displacement_px` and `gradient` is a Motion; a finite-element result is one as well.
 
-`TissueMotion` resembles a bundle between two pillars (paper, "Synthetic data generation"):
-it shortens along its axis and bulges across it, the activation travels along the axis, a passive inclusion is pulled
-longer while the rest shortens, and every beat has its own strength and length. Because of the travelling activation
-its displacement is no product of a shape and a time course, so it gives no undue help to methods that assume few modes.
+`TissueMotion` resembles a bundle between two pillars (paper, "Synthetic data generation"): it shortens along its axis
+and bulges across it, the activation travels along the axis, a passive inclusion is pulled longer while the rest
+shortens, and every beat has its own strength and length. Because of the travelling activation its displacement is no
+product of a shape and a time course, so it gives no undue help to methods that assume few modes.
 
 Points and tensors are in the order (row, col), as everywhere: F[..., 0, 1] is the derivative of the row position
 by the column.

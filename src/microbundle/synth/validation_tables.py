@@ -1,7 +1,7 @@
 """The table of a validation: the worst and the middle movie of each regime, beside the paper and the goals.
 
-Sources: paper, S1 Appendix, tables of errors without and with noise
-on movies with exact truth. The goals are those that the accurate method is built to.
+Source: paper, S1 Appendix, tables of errors without and with noise. The goals are those that the accurate method is
+built to.
 """
 
 from __future__ import annotations
