@@ -83,3 +83,11 @@ def test_start_takes_little_cpu(code: str, tmp_path: Path) -> None:
 
     once()
     assert min(once() for _ in range(3)) < MOST_CPU_S
+
+
+def test_ci_runs_the_readmes_test_command():
+    root = Path(__file__).parent.parent
+    readme, ci = (root / "README.md").read_text(encoding="utf-8"), (root / ".ci" / "run").read_text(encoding="utf-8")
+    command = 'python3 -m venv .venv && .venv/bin/pip install -q -e ".[test]" && .venv/bin/python -m pytest -q -n 2'
+    assert command + "\n" in readme
+    assert command in ci
