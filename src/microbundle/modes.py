@@ -26,14 +26,6 @@ class Modes:
 
     course: Floats
     """(T, M): orthonormal courses in time of the kept modes; the mean is kept besides."""
-    strength: Floats
-    """(M,): singular values in the metric of the matrix, in units of grey value."""
-    autocorrelation: Floats
-    """(12,) or fewer: lag-1 autocorrelation of the strongest courses."""
-
-    @property
-    def rank(self) -> int:
-        return int(self.course.shape[1])
 
     def project(self, series: Floats) -> Floats:
         """Keep of series (T, ...) their mean and what follows the kept courses."""
@@ -63,7 +55,7 @@ def _kept(course: Floats, strength: Floats, frames: int, unknowns: int) -> Modes
     single = (strong**2).max(axis=0) > 0.5
     chance = 1 / np.sqrt(frames)  # standard deviation of the autocorrelation of white noise
     keep: Bools = (smooth > 3.5 * chance) | ((above > 1.3) & (smooth > 2.5 * chance)) | ((above > 4) & ~single)
-    return Modes(strong[:, keep], strength[:MOST_MODES][keep], smooth)
+    return Modes(strong[:, keep])
 
 
 def _edge(frames: int, unknowns: int) -> float:

@@ -229,7 +229,7 @@ class _Passes:
                 total = total + relaxed
                 used += 1
             tell(done / len(chosen))
-        return coefficients, bright, (total / max(used, 1)).astype(np.float32)
+        return coefficients, bright, (total / used).astype(np.float32)
 
     def _coarse_to_fine(self, picture: Float32, whole: Float32) -> Fit:
         p: Float32 = np.zeros(self.levels[0].knots.shape, np.float32)
