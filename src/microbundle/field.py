@@ -19,6 +19,8 @@ from .data import Bools, Floats, known
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
+    from .draws import Draws
+
 AROUND = 16
 TEXTURE_CELL_PX = 4
 CLOSE_PX = 3
@@ -39,6 +41,8 @@ class Field:
     texture: Floats
     """(A, B): how much texture there is in cells of 4 px from `origin_px` on, the mean squared slope of the grey value
     in any unit, NaN outside the tissue."""
+    draws: Draws | None = None
+    """What the displacement may be wrong by."""
 
     def basis(self, points_px: Floats) -> csr_matrix:
         """Weights (P, K L) of the knots at image points (P, 2) of the reference frame."""

@@ -17,7 +17,7 @@ from .data import Bools, Floats
 
 FRAMES_AT_ONCE = 500
 """Longer movies are pooled in stretches, so that memory does not grow with the frames."""
-MOST_MODES = 12
+MOST_MODES = 20
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,10 @@ class Modes:
 
     course: Floats
     """(T, M): orthonormal courses in time of the kept modes; the mean is kept besides."""
+    strength: Floats
+    """(M,): size of each kept mode in the metric."""
+    noise: float
+    """Standard deviation of the noise of one frame in any one direction of the metric."""
 
     def project(self, series: Floats) -> Floats:
         """Keep of series (T, ...) their mean and what follows the kept courses."""
@@ -55,7 +59,11 @@ def _kept(course: Floats, strength: Floats, frames: int, unknowns: int) -> Modes
     single = (strong**2).max(axis=0) > 0.5
     chance = 1 / np.sqrt(frames)  # standard deviation of the autocorrelation of white noise
     keep: Bools = (smooth > 3.5 * chance) | ((above > 1.3) & (smooth > 2.5 * chance)) | ((above > 4) & ~single)
-    return Modes(strong[:, keep])
+    if keep.any():  # something moves, so what stands out of the noise is its finer detail, brief or not
+        keep |= (above > 1.1) & ~single
+    freedom = max(frames - 1 - int(keep.sum()), 1) * max(unknowns - int(keep.sum()), 1)
+    discarded = (strength**2).sum() - (strength[:MOST_MODES][keep] ** 2).sum()
+    return Modes(strong[:, keep], strength[:MOST_MODES][keep], float(np.sqrt(max(discarded, 0.0) / freedom)))
 
 
 def _edge(frames: int, unknowns: int) -> float:

@@ -26,6 +26,7 @@ from . import bspline
 from .bspline import Float32, Runs
 from .config import Config
 from .data import Bools, Finding, Floats, Image, Markers, Masks, Movie, Tracks
+from .draws import SEED, Draws, draw_errors, join
 from .errors import CannotMeasure
 from .field import TEXTURE_CELL_PX, Field
 from .lattice import BENDING, BRIGHTNESS, Fit, Knots, Template, finer
@@ -147,9 +148,9 @@ def register(movie: Movie, masks: Masks, markers: Markers, config: Config, tell:
     if good.mean() < FEWEST_FOLLOWED:
         raise CannotMeasure(f"{movie.name}: expected a tissue whose picture can be followed; only {good.mean():.0%} of "
                             "the frames could be followed. Is there tissue under the mask, and is it in focus?")
-    pool_frames(coefficients, good, template)
+    draws = pool_frames(coefficients, good, template)
     field = Field(coefficients, window.origin + float(KNOT_LEAD_PX), float(params.knot_px),
-                  window.texture(template))
+                  window.texture(template), draws)
     position = field.at(markers.position_px) + markers.position_px.astype(np.float32)
     position[~good] = np.nan
     ok = np.broadcast_to(good[:, None], position.shape[:2]).copy()
@@ -164,12 +165,18 @@ def followed(residual: Floats, bright: Floats) -> Bools:
     return np.asarray((residual < max(OUTLIER * usual, usual + 0.3)) & (gain > LOWEST_GAIN) & (gain < 1 / LOWEST_GAIN))
 
 
-def pool_frames(coefficients: Float32, good: Bools, template: Template) -> None:
-    """Keep in place only the motion patterns that recur in time; frames that are not good take no part."""
+def pool_frames(coefficients: Float32, good: Bools, template: Template) -> Draws:
+    """Keep in place only the motion patterns that recur in time, and draw what they may be wrong by; frames that are
+    not good take no part."""
     frames = np.flatnonzero(good)
+    rng = np.random.default_rng(SEED)
+    stretches = []
     for part in np.array_split(frames, -(-len(frames) // FRAMES_AT_ONCE)):
-        modes = find_modes(template.knots.flat(coefficients[part]).astype(float), template.factor)
+        unknowns = template.knots.flat(coefficients[part]).astype(float)
+        modes = find_modes(unknowns, template.factor)
+        stretches.append((part, draw_errors(unknowns, modes, template, rng)))
         coefficients[part] = modes.project(coefficients[part])
+    return join(stretches, len(good))
 
 
 def _lost_findings(good: Bools) -> tuple[Finding, ...]:
