@@ -134,11 +134,11 @@ def test_noise_of_tracked_points_is_hardly_ever_a_beat():
 
 
 def test_too_short_flat_and_monotonous_signals_say_why():
-    for signal, word in ((np.zeros(4), "4 frames"), (np.zeros(60), "above the noise"),
+    for signal, word in ((np.zeros(4), "4 frames"), (np.zeros(60), "its noise"),
                          (np.linspace(0, 3, 60), "no peak")):
-        found, why = cut_signal(signal, frame_noise(signal), BeatParams())
+        found, without = cut_signal(signal, frame_noise(signal), BeatParams())
         assert not found.peak
-        assert word in why
+        assert word in without.why
 
 
 def test_settings_leave_out_small_and_close_peaks():
@@ -203,7 +203,7 @@ def test_markers_that_are_often_lost_do_not_disturb():
 def test_still_tissue_has_no_beat_and_says_so():
     beats = find_beats(*tracked(np.zeros(60)), Config())
     assert len(beats) == 0
-    assert [(f.key, f.level) for f in beats.findings] == [("no_whole_beat", "fail")]
+    assert [(f.key, f.level) for f in beats.findings] == [("no_measurable_motion", "fail")]
     assert beats.relaxed.all()
 
 

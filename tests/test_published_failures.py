@@ -126,7 +126,7 @@ def test_static_movie_is_a_result_without_beats(frames, noise):
     found = microbundle.analyze(as_movie(still), SMALL)
     assert len(found.beats) == 0
     assert found.verdict == "fail"
-    assert keys(found)["no_whole_beat"] == "fail"
+    assert keys(found)["no_measurable_motion"] == "fail"
     assert len(tables(found)["frames"]) == 40
 
 

@@ -17,8 +17,17 @@ from itertools import pairwise
 import numpy as np
 
 from .config import BeatParams, Config
-from .contraction import contraction_signal, frame_noise, mean_absolute, without_trend
+from .contraction import (
+    CLEARLY_REPEATS,
+    contraction_signal,
+    filled_in,
+    frame_noise,
+    mean_absolute,
+    repeating_share,
+    without_trend,
+)
 from .data import Beats, Bools, Finding, Floats, Ints, Masks, Movie, Tracks
+from .modes import FRAMES_AT_ONCE, NOISE_FACTOR, faintest_in
 
 SMALLEST_SHARE = 0.25
 """A peak counts as a beat from this share of the signal's whole range."""
@@ -29,6 +38,14 @@ CUT_SHARE = 0.3
 nearby."""
 SMALLEST_PX = 0.01
 """Motion below this cannot be measured with 8-bit tracking on any movie seen so far."""
+CHANCE = 2.6
+"""The signal's correlation from frame to frame exceeds this many standard deviations of that of noise by chance in
+0.5 % of motionless movies; flicker and single frames make a signal that stands out, but none that goes on."""
+FALSE_ALARMS_PERCENT = 1
+"""Motionless movies in which a beat is found, at most, as measured by benchmarks/detection.py."""
+MOST_POINTS = 250
+EVEN_SHORTENING = 0.87
+"""Mean over root mean square length of the displacement of a tissue that shortens evenly."""
 
 PAPER_PROMINENCE_PX = 0.1
 
@@ -45,6 +62,15 @@ class Cut:
     """For each beat, the first and end frame of each rest that belongs to it."""
 
 
+@dataclass(frozen=True)
+class Without:
+    """Why there is no beat."""
+
+    why: str
+    still: bool = False
+    """Nothing was found to move."""
+
+
 def find_beats(tracks: Tracks, masks: Masks, movie: Movie, config: Config) -> Beats:
     """Find the beats of a tracked movie.
 
@@ -52,29 +78,48 @@ def find_beats(tracks: Tracks, masks: Masks, movie: Movie, config: Config) -> Be
     """
     if config.method == "paper":
         return _paper_beats(tracks)
-    displacement = tracks.position_px - tracks.position_px[tracks.reference_frame]
-    displacement = displacement[:, tracks.kept]
-    signal = contraction_signal(displacement, tracks.position_px[tracks.reference_frame][tracks.kept],
-                                masks.axis.direction)
+    points = tracks.position_px[tracks.reference_frame][tracks.kept]
+    displacement = tracks.position_px[:, tracks.kept] - points
+    signal = contraction_signal(displacement, points, masks.axis.direction)
     noise = frame_noise(signal)
-    cut, why_none = cut_signal(signal, noise, config.beats, movie.frames_per_s)
-    return _beats(tracks, cut, noise, why_none)
+    cut, without = cut_signal(signal, noise, config.beats, movie.frames_per_s)
+    return _beats(tracks, cut, noise, detection_limit(tracks, displacement, config.beats), without)
+
+
+def detection_limit(tracks: Tracks, displacement_px: Floats, params: BeatParams) -> float:
+    """Predict the mean absolute displacement, in px, of the smallest beats that are found in displacements (T, N, 2).
+
+    About half of such beats are found. It follows from the noise that is left without the motion, see
+    `modes.faintest_peak`. NaN for too few frames or points.
+    """
+    least = max(params.min_amplitude_px, SMALLEST_PX)
+    faintest = tracks.faintest_px
+    if not np.isfinite(faintest):
+        step = max(1, displacement_px.shape[1] // MOST_POINTS)
+        seen = filled_in(displacement_px[:, ::step])
+        if len(seen) < 5 or seen.shape[1] < 6:
+            return float("nan")
+        parts = np.array_split(seen, -(-len(seen) // FRAMES_AT_ONCE))
+        faintest = float(np.median([faintest_in(part) for part in parts])) * EVEN_SHORTENING / np.sqrt(seen.shape[1] / 2)
+    return max(least, faintest * params.noise_factor / NOISE_FACTOR)
 
 
 def cut_signal(signal: Floats, noise: float, params: BeatParams,
-               frames_per_s: float | None = None) -> tuple[Cut, str]:
-    """Cut a contraction signal (T,) in px into beats; the text says why where there are none."""
+               frames_per_s: float | None = None) -> tuple[Cut, Without]:
+    """Cut a contraction signal (T,) in px into beats, or say why there are none."""
     from scipy.signal import find_peaks
 
     none = Cut([], [], [], [], [])
     if len(signal) < 5:
-        return none, f"the movie has only {len(signal)} frames"
+        return none, Without(f"the movie has only {len(signal)} frames")
     smooth = np.convolve(np.pad(signal, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
-    low, high = np.quantile(without_trend(smooth[:, None]), [0.02, 0.98])
+    steady = without_trend(smooth[:, None])[:, 0]
+    low, high = np.quantile(steady, [0.02, 0.98])
     stands_out = max(params.noise_factor * noise, params.min_amplitude_px, SMALLEST_PX)
-    if smooth.max() - smooth.min() < stands_out:
-        return none, (f"no motion above the noise was found: the signal's range is "
-                      f"{smooth.max() - smooth.min():.3g} px, and a beat needs {stands_out:.3g} px")
+    if np.ptp(smooth) < stands_out or not goes_on(signal):
+        return none, Without(f"the signal's range is {np.ptp(smooth):.3g} px, its noise {noise:.2g} px", still=True)
+    if np.ptp(steady) < stands_out:
+        return none, Without(f"the tissue drifts by {np.ptp(smooth):.3g} px, but the movie holds no peak of a beat")
     distance = max(1.0, params.min_period_s * frames_per_s) if frames_per_s else 1.0
     prominence = max(stands_out, SMALLEST_SHARE * (high - low))
     # Below both ends, so that a signal that starts or ends high has a peak there: a beat that is cut off.
@@ -82,8 +127,17 @@ def cut_signal(signal: Floats, noise: float, params: BeatParams,
     peaks = find_peaks(padded, prominence=prominence, distance=distance)[0] - 1
     inner = peaks[(peaks > 0) & (peaks < len(signal) - 1)]
     if len(inner) == 0:
-        return none, f"the tissue moves by {high - low:.3g} px, but the movie holds no peak of a beat"
-    return _cut_at(smooth, noise, inner), ""
+        return none, Without(f"the tissue moves by {high - low:.3g} px, but the movie holds no peak of a beat")
+    return _cut_at(smooth, noise, inner), Without("")
+
+
+def goes_on(signal: Floats) -> bool:
+    """Tell whether a signal (T,) without its trend goes on from frame to frame, or from period to period, as noise does
+    not."""
+    steady = without_trend(signal[:, None])[:, 0]
+    size = float((steady**2).sum())
+    along = float((steady[1:] * steady[:-1]).sum()) / size if size > 0 else 0.0
+    return along > CHANCE / np.sqrt(len(signal)) or repeating_share(steady) > CLEARLY_REPEATS
 
 
 def _cut_at(smooth: Floats, noise: float, peaks: Ints) -> Cut:
@@ -144,7 +198,7 @@ def _rest(smooth: Floats, first: int, last: int, noise: float) -> tuple[int, int
     return first + a, first + b
 
 
-def _beats(tracks: Tracks, cut: Cut, noise: float, why_none: str) -> Beats:
+def _beats(tracks: Tracks, cut: Cut, noise: float, limit: float, without: Without) -> Beats:
     """Complete a cut with the relaxed positions and the signal."""
     count, markers = tracks.ok.shape
     relaxed = np.zeros(count, bool)
@@ -161,15 +215,20 @@ def _beats(tracks: Tracks, cut: Cut, noise: float, why_none: str) -> Beats:
     moved = tracks.position_px[:, tracks.kept] - rest[tracks.kept].astype(np.float32)
     signal = mean_absolute(moved)
     beats = Beats(signal, noise, np.array(cut.start, int), np.array(cut.peak, int), np.array(cut.stop, int),
-                  np.array(cut.complete, bool), relaxed, rest, beat_relaxed, "default")
-    return _with_findings(beats, why_none)
+                  np.array(cut.complete, bool), relaxed, rest, beat_relaxed, "default", limit)
+    return _with_findings(beats, without)
 
 
-def _with_findings(beats: Beats, why_none: str) -> Beats:
+def _with_findings(beats: Beats, without: Without) -> Beats:
     findings: list[Finding] = []
     whole = int(beats.complete.sum())
-    if whole == 0:
-        why = why_none or "every beat is cut off by the movie's start or end"
+    if without.still:
+        limit = beats.detection_limit_px
+        findings.append(Finding(
+            "no_measurable_motion", "fail", f"no measurable motion: {without.why}; beats are below the detection limit "
+            f"of {limit:.2g} px at {FALSE_ALARMS_PERCENT} % false alarms", float(np.ptp(beats.signal_px)), limit))
+    elif whole == 0:
+        why = without.why or "every beat is cut off by the movie's start or end"
         findings.append(Finding("no_whole_beat", "fail", f"no whole beat: {why}", 0.0, 1.0))
     elif whole < 3:
         findings.append(Finding("few_beats", "review", f"only {whole} whole beat{'s' * (whole > 1)}; a spread "
@@ -203,7 +262,7 @@ def _paper_beats(tracks: Tracks) -> Beats:
     relaxed[start] = True
     beats = Beats(series, frame_noise(series), start, peak, stop, np.ones(len(start), bool), relaxed,
                   tracks.position_px[0].astype(float), tracks.position_px[start].astype(float), "paper")
-    return _with_findings(beats, f"the published method needs three peaks; {len(peaks)} were found")
+    return _with_findings(beats, Without(f"the published method needs three peaks; {len(peaks)} were found"))
 
 
 def _mean_position(position_px: Floats) -> Floats:

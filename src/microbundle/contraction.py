@@ -26,7 +26,7 @@ def contraction_signal(displacement_px: Floats, points_px: Floats, direction: Fl
     """
     step = max(1, len(points_px) // MAX_POINTS)
     u, x = displacement_px[:, ::step].astype(float), points_px[::step]
-    flat = _complete(u)
+    flat = filled_in(u)
     moving = without_trend(flat)
     _, vectors = np.linalg.eigh(moving.T @ moving)
     pattern = vectors[:, -1]
@@ -43,7 +43,7 @@ def mean_absolute(displacement_px: Floats) -> Floats:
     return np.asarray(np.divide(total, seen.sum(axis=1), out=np.full(len(total), np.nan), where=seen.any(axis=1)))
 
 
-def _complete(displacement_px: Floats) -> Floats:
+def filled_in(displacement_px: Floats) -> Floats:
     """Fill what is missing in displacements (T, N, 2), first from the other points, then from other frames: (T, 2N)."""
     seen = known(displacement_px)
     some = seen.any(axis=1)
@@ -92,11 +92,11 @@ def frame_noise(signal: Floats) -> float:
     second = np.abs(signal[:-2] - 2 * signal[1:-1] + signal[2:])
     quiet = float(np.quantile(second, 0.25) / (0.3186 * np.sqrt(6.0)))  # quartile of |N(0, 1)|; 1 + 4 + 1
     steady = without_trend(signal[:, None])[:, 0]
-    repeats = _repeating_share(steady)
+    repeats = repeating_share(steady)
     return min(quiet, float(steady.std() * np.sqrt(1 - repeats))) if repeats > CLEARLY_REPEATS else quiet
 
 
-def _repeating_share(signal: Floats) -> float:
+def repeating_share(signal: Floats) -> float:
     """Correlation of a signal with itself one period later; the period is where it is largest, up to half the signal's
     length and after the correlation has first been negative."""
     lags = range(1, len(signal) // 2 + 1)

@@ -134,6 +134,13 @@ class Template:
         """Solve with the factorised matrix for right-hand sides (n, m), to the precision of float32."""
         return np.asarray(spbtrs(self.factor, np.asarray(right, np.float32, order="F"), lower=1)[0])
 
+    def contraction_size(self, direction: Floats) -> float:
+        """Size, in the metric of the matrix, of an even shortening along `direction` (2,) by 1 px on average."""
+        row, col = self.knots.runs.pixels()
+        along = (row - row.mean()) * direction[0] + (col - col.mean()) * direction[1]
+        change = along * (self.gr * direction[0] + self.gc * direction[1])
+        return float(np.sqrt((change**2).sum()) / max(np.abs(along).mean(), 1e-12))
+
     def fit(self, pictures: Sequence[Float32], starts: Sequence[Float32], brights: Sequence[Floats], iterations: int,
             tolerance_px: float = 1e-4) -> list[Fit]:
         """Register several pictures (B-spline coefficients) at once, so that one pass over the factor serves all."""

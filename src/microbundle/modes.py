@@ -18,6 +18,10 @@ from .data import Bools, Floats
 FRAMES_AT_ONCE = 500
 """Longer movies are pooled in stretches, so that memory does not grow with the frames."""
 MOST_MODES = 20
+NOISE_FACTOR = 6.0
+"""Standard deviations by which a beat must stand out."""
+HEIGHT_SD = 2.8
+"""Height of a twitch that lasts for half of each period, over the standard deviation of its course."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,8 @@ class Modes:
     """(M,): size of each kept mode in the metric."""
     noise: float
     """Standard deviation of the noise of one frame in any one direction of the metric."""
+    faintest: float
+    """Peak size, in the metric, of the smallest beats that would stand out of this noise."""
 
     def project(self, series: Floats) -> Floats:
         """Keep of series (T, ...) their mean and what follows the kept courses."""
@@ -63,7 +69,36 @@ def _kept(course: Floats, strength: Floats, frames: int, unknowns: int) -> Modes
         keep |= (above > 1.1) & ~single
     freedom = max(frames - 1 - int(keep.sum()), 1) * max(unknowns - int(keep.sum()), 1)
     discarded = (strength**2).sum() - (strength[:MOST_MODES][keep] ** 2).sum()
-    return Modes(strong[:, keep], strength[:MOST_MODES][keep], float(np.sqrt(max(discarded, 0.0) / freedom)))
+    noises = np.concatenate([strength[:MOST_MODES][~keep], strength[MOST_MODES:]]) ** 2
+    return Modes(strong[:, keep], strength[:MOST_MODES][keep], float(np.sqrt(max(discarded, 0.0) / freedom)),
+                 faintest_peak(noises[:max(frames - 1 - int(keep.sum()), 1)], frames))
+
+
+def faintest_in(series: Floats) -> float:
+    """Predict the peak size of the smallest beats that are found in series (T, n), from what is not smooth in them."""
+    centred = series - series.mean(axis=0)
+    square, course = np.linalg.eigh(centred @ centred.T)
+    smooth = (course[1:] * course[:-1]).sum(axis=0) > 3.5 / np.sqrt(len(series))
+    smooth[:-MOST_MODES] = False
+    return faintest_peak(square[~smooth][1:], len(series))
+
+
+def faintest_peak(noise_squares: Floats, frames: int) -> float:
+    """Predict the peak size of the smallest beats that are found, half of them, in noise with the given squared
+    singular values.
+
+    The strongest pattern of noisy frames shows only a share of the beat's course; the share follows from the noise and
+    from the number of directions it has (F. Benaych-Georges and R. Nadakuditi, J. Multivar. Anal. 111, 2012). It must be
+    large enough for the course to stand NOISE_FACTOR standard deviations out of its own noise.
+    """
+    mean, spread = float(noise_squares.mean()), float(noise_squares.var())
+    if mean <= 0.0:
+        return 0.0
+    directions = (len(noise_squares) + 1) * mean**2 / max(spread, 1e-12 * mean**2)
+    b = frames / directions
+    wrong = 1 / (1 + (NOISE_FACTOR / HEIGHT_SD) ** 2)
+    squared = ((1 - wrong) * b + np.sqrt(((1 - wrong) * b) ** 2 + 4 * wrong * b)) / (2 * wrong)
+    return float(HEIGHT_SD * np.sqrt(squared * mean / frames))
 
 
 def _edge(frames: int, unknowns: int) -> float:

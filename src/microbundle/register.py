@@ -148,14 +148,14 @@ def register(movie: Movie, masks: Masks, markers: Markers, config: Config, tell:
     if good.mean() < FEWEST_FOLLOWED:
         raise CannotMeasure(f"{movie.name}: expected a tissue whose picture can be followed; only {good.mean():.0%} of "
                             "the frames could be followed. Is there tissue under the mask, and is it in focus?")
-    draws = pool_frames(coefficients, good, template)
+    draws, faintest = pool_frames(coefficients, good, template)
     field = Field(coefficients, window.origin + float(KNOT_LEAD_PX), float(params.knot_px),
                   window.texture(template), draws)
     position = field.at(markers.position_px) + markers.position_px.astype(np.float32)
     position[~good] = np.nan
     ok = np.broadcast_to(good[:, None], position.shape[:2]).copy()
     return Tracks(position, ok, "accurate", reference, params.knot_px, field=field, residual=residual,
-                  findings=_lost_findings(good))
+                  faintest_px=faintest / template.contraction_size(masks.axis.direction), findings=_lost_findings(good))
 
 
 def followed(residual: Floats, bright: Floats) -> Bools:
@@ -165,18 +165,20 @@ def followed(residual: Floats, bright: Floats) -> Bools:
     return np.asarray((residual < max(OUTLIER * usual, usual + 0.3)) & (gain > LOWEST_GAIN) & (gain < 1 / LOWEST_GAIN))
 
 
-def pool_frames(coefficients: Float32, good: Bools, template: Template) -> Draws:
-    """Keep in place only the motion patterns that recur in time, and draw what they may be wrong by; frames that are
-    not good take no part."""
+def pool_frames(coefficients: Float32, good: Bools, template: Template) -> tuple[Draws, float]:
+    """Keep in place only the motion patterns that recur in time, draw what they may be wrong by, and tell the peak
+    size, in the metric of the matrix, of the faintest beats that can be found. Frames that are not good take no
+    part."""
     frames = np.flatnonzero(good)
     rng = np.random.default_rng(SEED)
-    stretches = []
+    stretches, faintest = [], []
     for part in np.array_split(frames, -(-len(frames) // FRAMES_AT_ONCE)):
         unknowns = template.knots.flat(coefficients[part]).astype(float)
         modes = find_modes(unknowns, template.factor)
         stretches.append((part, draw_errors(unknowns, modes, template, rng)))
+        faintest.append(modes.faintest)
         coefficients[part] = modes.project(coefficients[part])
-    return join(stretches, len(good))
+    return join(stretches, len(good)), float(np.median(faintest))
 
 
 def _lost_findings(good: Bools) -> tuple[Finding, ...]:
