@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from microbundle.metrics import METRICS, UNITS
+from microbundle.dictionary import METRICS, UNITS
 
 LEVELS = {"movie": "Per movie (`summary.csv`)", "beat": "Per beat (`beats.csv`; over the whole beats in `summary.csv`)",
           "subdomain": "Per sub-domain and beat (`subdomains.csv`)", "frame": "Per frame (`frames.csv`)"}

@@ -10,12 +10,13 @@ from microbundle.axis import measure_axis
 from microbundle.beats import find_beats
 from microbundle.config import Config
 from microbundle.data import Grid, Markers, Masks, Movie, Tracks
-from microbundle.metrics import IDENTITY, METRICS, beat_signal, column, parabola_peak, synchrony, tables
+from microbundle.dictionary import IDENTITY, METRICS, column
+from microbundle.metrics import beat_signal, parabola_peak, synchrony, tables
 from microbundle.strain import measure_strain
 
 PERIOD, WIDTH, SHORTENING = 24.5, 12.0, 0.04
 FIRST = 9.25
-STATISTICS = {"metric", "n", "mean", "sd", "cv", "median", "low_95", "high_95", "interval"}
+STATISTICS = {"metric", "n", "mean", "se", "sd", "cv", "median", "low_95", "high_95", "interval"}
 
 
 def contraction(count: int, delay: float = 0.0) -> np.ndarray:
@@ -58,7 +59,11 @@ def columns(analysis: Analysis) -> set[str]:
 
 
 def known(calibrated: bool) -> set[str]:
-    return {column(m, calibrated) for m in METRICS} | set(IDENTITY)
+    return {column(m, calibrated) for m in METRICS} | errors(calibrated) | set(IDENTITY)
+
+
+def errors(calibrated: bool) -> set[str]:
+    return {column(m, calibrated, error=True) for m in METRICS if m.has_error and m.level != "movie"}
 
 
 @pytest.mark.parametrize("calibration", [(30.0, 4.0), (None, None), (30.0, None), (None, 4.0)])
@@ -67,11 +72,18 @@ def test_every_column_is_in_the_dictionary(calibration):
     assert names <= known(True) | known(False)
 
 
-def test_every_entry_of_the_dictionary_is_written(strip):
-    assert known(True) - columns(strip) == set()
-    bare = {column(m, False) for m in METRICS if m.kind != "rate_per_min"} | set(IDENTITY)
+def test_every_entry_of_the_dictionary_is_written(tissue_analysis):
+    assert known(True) - columns(tissue_analysis) == set()
+    minutes = [m for m in METRICS if m.kind == "rate_per_min"]  # which has the name of the rate where there is no unit
+    bare = known(False) - {column(m, False, error=error) for m in minutes for error in (False, True)}
     bare.remove("time_frames")  # that is the column `frame`
-    assert bare - columns(measured(fps=None, um_per_px=None)) == set()
+    assert bare - columns(replace(tissue_analysis, time_s=None, um_per_px=None)) == set()
+
+
+def test_a_result_that_does_not_know_its_errors_has_no_columns_for_them(strip):
+    assert columns(strip) & errors(True) == set()
+    assert "mean_absolute_displacement_corrected_um" not in columns(strip)
+    assert tables(strip)["summary"]["se"].isna().all()
 
 
 def test_summary_has_the_promised_statistics(strip):

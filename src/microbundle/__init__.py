@@ -33,10 +33,12 @@ if TYPE_CHECKING:
     from .pipeline import analyze
     from .read import read_movie
     from .store import load, save
+    from .uncertainty import alternatives, displacement_error_at, standard_errors
 
 _HOME = {
     "Analysis": "analysis", "Config": "config", "Movie": "data", "analyze": "pipeline", "export_paper": "paper_layout",
     "load": "store", "read_mask": "mask_files", "read_movie": "read", "save": "store", "tables": "metrics",
+    **dict.fromkeys(("alternatives", "displacement_error_at", "standard_errors"), "uncertainty"),
     **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ConfigError", "MaskUnusable", "MicrobundleError",
                      "MovieUnreadable", "NoTexture", "NoTissue", "OutputError", "ResultUnreadable"), "errors"),
 }
@@ -57,12 +59,15 @@ __all__ = [
     "OutputError",
     "ResultUnreadable",
     "__version__",
+    "alternatives",
     "analyze",
+    "displacement_error_at",
     "export_paper",
     "load",
     "read_mask",
     "read_movie",
     "save",
+    "standard_errors",
     "tables",
 ]
 

@@ -36,7 +36,7 @@ COUNT = 32
 """Draws; a standard error from them is known to 12 %."""
 SEED = 1729
 MODEL_SHARE, MODEL_PX = 0.003, 0.0007
-"""What interpolation and knots cost, independently at each knot: as a share of the motion there, and at its peak."""
+"""What interpolation and knots cost: as a share of the motion at a place, and at the motion's peak."""
 
 
 @dataclass(frozen=True)
@@ -106,21 +106,29 @@ def draw_errors(unknowns: Floats, modes: Modes, template: Template, rng: np.rand
     kept[0] = 0.0  # no motion, but where the reference frame happens to be
     parts = course.shape[1]
     freedom = max(frames - parts, 1)
+    grid = template.knots.grid
     mix = rng.standard_normal((count * parts, frames)) / np.sqrt(freedom)
-    pattern = (mix @ discarded).reshape(count, parts, size)
-    pattern += rng.standard_normal((count, 1, 1)) * template.solve(template.penalty @ kept.T).T
-    model = np.repeat(MODEL_SHARE * kept[None], 2, axis=0)
+    pattern = grid((mix @ discarded).reshape(count, parts, size))
+    pattern += rng.standard_normal((count, 1, 1, 1, 1)) * grid(template.solve(template.penalty @ kept.T).T)
+    pattern += MODEL_SHARE * _smooth(rng, (count, 1, *template.knots.shape)) * grid(kept)
     if parts > 1:
-        model[1] = 0.0
-        model[1, 1] = MODEL_PX / np.abs(modes.course[:, 0]).max()
-    pattern += np.einsum("pdn,pkn->dkn", rng.standard_normal((2, count, size)), model)
+        pattern[:, 1] += (MODEL_PX / np.abs(modes.course[:, 0]).max()) * _smooth(rng, (count, *template.knots.shape))
     mode = np.zeros((parts, size))
     mode[1:] = (modes.course.T @ centred) / modes.strength[:, None]
     jitter = modes.noise * rng.standard_normal((count, frames, parts))
     jitter -= course @ (course.T @ jitter)
     jitter[:, :, 0] = 0.0
-    grid = template.knots.grid
-    return StretchDraws(course, grid(pattern), jitter, grid(mode))
+    return StretchDraws(course, pattern, jitter, grid(mode))
+
+
+def _smooth(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:
+    """Standard normal numbers that vary over three knots along the last two axes."""
+    out = rng.standard_normal(shape)
+    for axis in (-1, -2):
+        near = np.pad(out, [(1, 1) if a == axis % out.ndim else (0, 0) for a in range(out.ndim)], mode="wrap")
+        n = out.shape[axis]
+        out = sum(np.take(near, range(k, k + n), axis=axis) for k in range(3)) / np.sqrt(3)
+    return out
 
 
 def join(stretches: Sequence[tuple[Ints, StretchDraws]], frames: int) -> Draws:

@@ -17,10 +17,12 @@ import numpy as np
 from .analysis import Analysis
 from .config import Config
 from .data import Beats, Finding, Grid, Markers, Masks, Strain, TissueAxis, Tracks
+from .draws import Draws
 from .errors import ResultUnreadable
 from .field import Field
 from .folder import write_whole
 from .metrics import tables
+from .uncertainty import displacement_error_at
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,6 +33,14 @@ KIND = "results"
 SCHEMA = 1
 """Version of the layout of the result file; raised when a reader of the old one would be misled."""
 RC = ("row", "col")
+DRAWS = {
+    "stretch": (("frame",), "stretch of frames that was pooled together"),
+    "course": (("frame", "component"), "courses in time of the mean and of the modes"),
+    "pattern": (("stretch", "draw", "component", "axis", "knot_row", "knot_col"), "errors of the mean and the modes"),
+    "jitter": (("draw", "frame", "component"), "errors of the courses"),
+    "mode": (("stretch", "component", "axis", "knot_row", "knot_col"), "the modes"),
+}
+"""What the field may be wrong by: error = sum over components of course pattern + jitter mode."""
 
 
 def save(analysis: Analysis, folder: Path | str, *, overwrite: bool = False,
@@ -81,11 +91,12 @@ def save_netcdf(analysis: Analysis, file: Path, made: Mapping[str, pd.DataFrame]
     """
     import xarray as xr
 
-    data = _to_dataset(analysis)
+    made = made or tables(analysis)
+    data = _with_errors(_to_dataset(analysis), analysis, made["strain"])
     packed = {name: {"zlib": True, "complevel": 1} for name, v in data.variables.items()
               if v.dtype.kind in "fiu" and v.size > 1000}
     data.to_netcdf(file, engine="h5netcdf", encoding=packed)
-    for name, table in (made or tables(analysis)).items():
+    for name, table in made.items():
         if name in ("summary", "beats", "subdomains") and len(table):
             rows = xr.Dataset.from_dataframe(table.rename_axis("entry"))
             rows.to_netcdf(file, engine="h5netcdf", mode="a", group=f"tables/{name}")
@@ -114,6 +125,9 @@ def _to_dataset(a: Analysis) -> xr.Dataset:
         put("field_texture", ("texture_row", "texture_col"), f.texture, "1", "mean squared slope of the grey value")
         put("field_origin", ("axis",), f.origin_px, "px", "image position of the first knot cell's corner")
         put("field_spacing", (), f.spacing_px, "px", "distance between knots")
+        if f.draws is not None:
+            for name, (dims, text) in DRAWS.items():
+                put(f"draws_{name}", dims, getattr(f.draws, name), "1" if name in ("stretch", "course") else "px", text)
     if a.tracks.residual is not None:
         put("residual", ("frame",), a.tracks.residual, "1", "what the field leaves unexplained, in standard deviations "
             "of the tissue's grey values")
@@ -149,6 +163,21 @@ def _to_dataset(a: Analysis) -> xr.Dataset:
     return xr.Dataset(out, coords=coords, attrs=_attributes(a))
 
 
+def _with_errors(data: xr.Dataset, a: Analysis, strain: pd.DataFrame) -> xr.Dataset:
+    """Add standard errors, for those who read the file with other tools; `load` makes them anew from the draws."""
+    if a.tracks.field is None or a.tracks.field.draws is None:
+        return data
+    data["grid_displacement_se"] = (("frame", "point", "axis"), displacement_error_at(a, a.grid.point_px).astype("f4"),
+                                    {"units": "px", "long_name": "standard error of grid_displacement"})
+    if a.strain is not None:
+        for letter in ("F", "E"):
+            parts = [strain[f"{letter}_{part}_se"] for part in ("rr", "rc", "cr" if letter == "F" else "rc", "cc")]
+            error = np.stack([np.asarray(p) for p in parts], axis=-1).reshape(a.strain.F.shape)
+            data[f"{letter}_se"] = (("frame", "subdomain", "i", "j"), error.astype("f4"),
+                                    {"units": "1", "long_name": f"standard error of {letter}"})
+    return data
+
+
 def _attributes(a: Analysis) -> dict[str, Any]:
     """Everything that is not an array, as JSON text where NetCDF has no type for it."""
     known = {"um_per_px": a.um_per_px} if a.um_per_px is not None else {}
@@ -162,8 +191,9 @@ def _attributes(a: Analysis) -> dict[str, Any]:
         "markers": json.dumps({"reference_frame": a.markers.reference_frame, "quality": a.markers.quality,
                                "spacing_px": a.markers.spacing_px, "coverage_px": a.markers.coverage_px}),
         "tracks": json.dumps({"method": a.tracks.method, "reference_frame": a.tracks.reference_frame,
-                              "window_px": a.tracks.window_px}),
-        "beats": json.dumps({"noise_px": _finite(a.beats.noise_px), "method": a.beats.method}),
+                              "window_px": a.tracks.window_px, "faintest_px": _finite(a.tracks.faintest_px)}),
+        "beats": json.dumps({"noise_px": _finite(a.beats.noise_px), "method": a.beats.method,
+                             "detection_limit_px": _finite(a.beats.detection_limit_px)}),
         "grid_shape": list(a.grid.shape),
         "strain": json.dumps(None if a.strain is None else {
             "grid": a.strain.grid, "side_px": a.strain.side_px, "angle_deg": a.strain.angle_deg}),
@@ -186,15 +216,19 @@ def _from_dataset(data: xr.Dataset) -> Analysis:
     masks = Masks(get("tissue") > 0, TissueAxis(**axis), **json.loads(attr["masks"]), findings=found["masks"])
     markers = Markers(get("marker_reference"), **json.loads(attr["markers"]), findings=found["markers"])
     field = None if "field" not in data else Field(
-        get("field"), get("field_origin"), float(get("field_spacing")), get("field_texture"))
-    tracks = Tracks(get("position"), get("followed") > 0, **json.loads(attr["tracks"]), findings=found["tracks"],
+        get("field"), get("field_origin"), float(get("field_spacing")), get("field_texture"),
+        Draws(**{name: get(f"draws_{name}") for name in DRAWS}) if "draws_course" in data else None)
+    about_tracks = json.loads(attr["tracks"])
+    about_tracks["faintest_px"] = _number(about_tracks["faintest_px"])
+    tracks = Tracks(get("position"), get("followed") > 0, **about_tracks, findings=found["tracks"],
                     forward_backward_px=get("forward_backward") if "forward_backward" in data else None,
                     field=field, residual=get("residual") if "residual" in data else None)
     noise = json.loads(attr["beats"])
     beats = Beats(
         get("mean_absolute_displacement"), _number(noise["noise_px"]), get("beat_start"), get("beat_peak"),
         get("beat_stop"), get("beat_complete") > 0, get("relaxed") > 0, get("relaxed_position"),
-        get("beat_relaxed_position"), noise["method"], found["beats"])
+        get("beat_relaxed_position"), noise["method"], detection_limit_px=_number(noise["detection_limit_px"]),
+        findings=found["beats"])
     rows, cols = (int(n) for n in attr["grid_shape"])
     about = json.loads(attr["strain"])
     strain = None if about is None else Strain(

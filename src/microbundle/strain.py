@@ -89,11 +89,42 @@ def _of_markers(tracks: Tracks, beats: Beats, tiling: Tiling, config: Config) ->
 
 def _of_field(field: Field, beats: Beats, tiling: Tiling, tissue: Bools) -> Deformation:
     """F is linear in the field's coefficients, so each tile needs one small set of weights for all frames."""
-    boxes, turn = tiling.boxes, rotation(tiling.direction)
-    count, tiles = len(field.coefficients), len(boxes)
-    F, shift = np.full((count, tiles, 2, 2), np.nan), np.full((count, tiles, 2), np.nan)
+    tiles = weigh_tiles(field, tiling, tissue)
+    gradient, shift = tiles.gradient(field.weighted(tiles.weights))
+    F = np.eye(2) + gradient
+    for frames, resting in _rests(beats, beats.relaxed):
+        F[frames] = F[frames] @ np.linalg.inv(F[resting].mean(axis=0))
+        shift[frames] -= shift[resting].mean(axis=0)
+    return Deformation(F, shift, tiles.count, tiles.reason)
+
+
+@dataclass(frozen=True)
+class TileWeights:
+    """How the gradient and the mean of a field's displacement in each tile follow from its coefficients."""
+
+    weights: Floats
+    """(3 S, K L): slope along the tissue's row and col axis, and mean, for each tile; zeros where it has no strain."""
+    turn: Floats
+    """(2, 2): from image to tissue axes."""
+    count: Ints
+    """(S,): points of the tile that are tissue."""
+    reason: tuple[str, ...]
+    """Why a tile has no strain, or the empty string."""
+
+    def gradient(self, sums: Floats) -> tuple[Floats, Floats]:
+        """Displacement gradient (T, S, 2, 2) and mean displacement (T, S, 2) in the tissue's axes, from the weighted
+        sums (T, 3 S, 2) of the coefficients; NaN where there is no strain."""
+        each = sums.reshape(len(sums), -1, 3, 2).astype(float)
+        each[:, [bool(why) for why in self.reason]] = np.nan
+        return self.turn @ np.swapaxes(each[:, :, :2], 2, 3), each[:, :, 2] @ self.turn.T
+
+
+def weigh_tiles(field: Field, tiling: Tiling, tissue: Bools) -> TileWeights:
+    """Find the weights of each tile's strain, by least squares over a lattice of points in its tissue."""
+    tiles = len(tiling.boxes)
+    weights = np.zeros((tiles, 3, field.coefficients.shape[2] * field.coefficients.shape[3]))
     number, reason = np.zeros(tiles, int), [""] * tiles
-    lattices = [_lattice(box) for box in boxes]
+    lattices = [_lattice(box) for box in tiling.boxes]
     everywhere = inside_tissue(to_image(np.concatenate(lattices), tiling.center, tiling.direction), tissue)
     parts = np.split(everywhere, np.cumsum([len(points) for points in lattices])[:-1])
     for s, (points, inside) in enumerate(zip(lattices, parts, strict=True)):
@@ -108,14 +139,9 @@ def _of_field(field: Field, beats: Beats, tiling: Tiling, tissue: Bools) -> Defo
             reason[s] = f"its texture is {texture:.1%} of the tissue's, needs {MIN_TEXTURE:.0%}"
             continue
         dX = points[inside] - points[inside].mean(axis=0)
-        slope = field.weighted(basis.T.dot(np.linalg.solve(dX.T @ dX, dX.T).T).T)
-        F[:, s] = np.eye(2) + turn @ np.swapaxes(slope, 1, 2)
-        shift[:, s] = field.weighted(np.asarray(basis.mean(axis=0)))[:, 0] @ turn.T
-    rest = beats.relaxed
-    for frames, resting in _rests(beats, rest):
-        F[frames] = F[frames] @ np.linalg.inv(F[resting].mean(axis=0))
-        shift[frames] -= shift[resting].mean(axis=0)
-    return Deformation(F, shift, number, tuple(reason))
+        weights[s, :2] = basis.T.dot(np.linalg.solve(dX.T @ dX, dX.T).T).T
+        weights[s, 2] = np.asarray(basis.mean(axis=0))
+    return TileWeights(weights.reshape(3 * tiles, -1), rotation(tiling.direction), number, tuple(reason))
 
 
 def _lattice(box: Floats) -> Floats:

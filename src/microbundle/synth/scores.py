@@ -298,17 +298,20 @@ def _ecc(rest: Floats, moved: Floats, turn: Floats) -> Floats:
 
 def _own_ecc(truth: Truth, analysis: Analysis, beats: TrueBeats, pairs: Ints,
              windows: tuple[Ints, ...]) -> tuple[Floats, Floats]:
-    """True and measured E_cc (T, S) in the analysis's sub-domains; the truth over a dense grid within each."""
+    """True and measured E_cc (T, S) in the analysis's sub-domains; the truth over a dense grid of their tissue."""
     strain = analysis.strain
     if strain is None:
         return np.zeros((analysis.frame_count, 0)), np.zeros((analysis.frame_count, 0))
     true, found = np.full(strain.F.shape[:2], np.nan), np.full(strain.F.shape[:2], np.nan)
     angle = np.deg2rad(strain.angle_deg)
     turn = rotation(np.array([np.sin(angle), np.cos(angle)]))
-    share = (np.arange(9) + 0.5) / 9
+    share = (np.arange(13) + 0.5) / 13
     for s, corner in enumerate(strain.corner_px):
         down, right = corner[3] - corner[0], corner[1] - corner[0]
         seen = (corner[0] + share[:, None, None] * down + share[None, :, None] * right).reshape(-1, 2)
+        seen = seen[analysis.inside(seen)]
+        if len(seen) < 3:
+            continue
         X = seen
         for _ in range(2):  # the analysis's relaxed image shows X displaced by a little
             X = seen - _analysis_rest(truth, analysis, X)
