@@ -10,12 +10,13 @@ LEVELS = {"movie": "Per movie (`summary.csv`)", "beat": "Per beat (`beats.csv`; 
 
 def page() -> str:
     lines = ["# Metrics", "", "Each key has one definition. A column's name is the key and its unit; the first unit is "
-             "that without calibration, the second that with it.", ""]
+             "that without calibration, the second that with it. With the method `accurate` the standard error of the "
+             "measurement stands beside each value whose column says so: `key_se_unit`.", ""]
     for level, title in LEVELS.items():
-        lines += [f"## {title}", "", "| key | units | definition |", "|---|---|---|"]
+        lines += [f"## {title}", "", "| key | units | error | definition |", "|---|---|---|---|"]
         for m in (m for m in METRICS if m.level == level):
             units = ", ".join(dict.fromkeys(u for u in UNITS[m.kind] if u)) or "1"
-            lines.append(f"| `{m.key}` | {units} | {m.definition} |")
+            lines.append(f"| `{m.key}` | {units} | {'yes' if m.has_error else ''} | {m.definition} |")
         lines.append("")
     return "\n".join(lines)
 
