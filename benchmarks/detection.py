@@ -52,6 +52,8 @@ KINDS: dict[str, tuple[Callable[[int], NoiseModel], tuple[float, float]]] = {
     "Perlin 4 %, 24": (grains(0.04, 24), (0.0, 0.0)),
     "Perlin 6 %, 28": (grains(0.06, 28), (0.0, 0.0)),
     "Perlin 12 %, 18": (grains(0.12, 18), (0.0, 0.0)),
+    "focus breathes": (lambda seed: replace(camera(seed), defocus_swing_px=0.4, defocus_period_frames=24.0),
+                       (0.0, 0.0)),
     "stage drifts": (camera, DRIFT_PX),
     "stage drifts, weak light": (weak_light, DRIFT_PX),
 }
@@ -70,7 +72,7 @@ def beats_of(kind: str, seed: int, method: Method, amplitude_px: float = 0.0) ->
 def tissue_share(scene: Analytic) -> float:
     """Amplitude over the whole tissue of a scene that moves by 1 px in the middle."""
     truth = Case("unit", STILL, replace(scene, mad_px=1.0, drift_px=(0.0, 0.0))).make().truth
-    points = np.argwhere(truth.tissue)[::11].astype(float)
+    points = np.argwhere(truth.mask)[::11].astype(float)
     lengths = [np.hypot(*truth.displacement_px(points, t).T).mean() for t in range(truth.motion.count)]
     return float(max(lengths) - min(lengths))
 

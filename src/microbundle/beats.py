@@ -16,6 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from . import focus
 from .config import BeatParams, Config
 from .contraction import (
     CLEARLY_REPEATS,
@@ -27,11 +28,12 @@ from .contraction import (
     without_trend,
 )
 from .data import Beats, Bools, Finding, Floats, Ints, Masks, Movie, Tracks
+from .focus import shared_part, sharpness_correlation
 from .modes import FRAMES_AT_ONCE, NOISE_FACTOR, faintest_in
 
 SMALLEST_SHARE = 0.25
 """A peak counts as a beat from this share of the signal's whole range."""
-REST_SHARE = 0.1
+REST_SHARE = 0.02
 """The tissue rests where the signal is within this share of the beat's height above its lowest point."""
 CUT_SHARE = 0.3
 """A beat is cut off by the movie's end where the signal there is above this share of the usual height over the rests
@@ -67,6 +69,7 @@ class Without:
     """Why there is no beat."""
 
     why: str
+    """Empty where nothing stands out of the noise."""
     still: bool = False
     """Nothing was found to move."""
 
@@ -83,7 +86,37 @@ def find_beats(tracks: Tracks, masks: Masks, movie: Movie, config: Config) -> Be
     signal = contraction_signal(displacement, points, masks.axis.direction)
     noise = frame_noise(signal)
     cut, without = cut_signal(signal, noise, config.beats, movie.frames_per_s)
-    return _beats(tracks, cut, noise, detection_limit(tracks, displacement, config.beats), without)
+    limit = detection_limit(tracks, displacement, config.beats)
+    drift = _drift_px(displacement)
+    if without.still and drift > limit:  # which the signal need not show, for it follows what does not drift
+        without = Without(f"the tissue drifts by {drift:.2g} px, but the movie holds no peak of a beat")
+    blur = _why_focus(displacement, points, signal, cut, masks, movie)
+    if blur:
+        cut, without = Cut([], [], [], [], []), Without(blur, still=True)
+    return _beats(tracks, cut, noise, limit, without)
+
+
+def _drift_px(displacement_px: Floats) -> float:
+    """Length of the straight line in time that the mean of displacements (T, N, 2) follows, in px."""
+    mean = filled_in(displacement_px).reshape(len(displacement_px), -1, 2).mean(axis=1)
+    return float(np.hypot(*np.ptp(mean - without_trend(mean), axis=0)))
+
+
+def _why_focus(displacement_px: Floats, points_px: Floats, signal: Floats, cut: Cut, masks: Masks,
+               movie: Movie) -> str:
+    """Say why what was cut into beats is the focus that changes, or give the empty string."""
+    if not cut.peak:
+        return ""
+    resting = np.unique([t for rests in cut.rests for first, stop in rests for t in range(first, stop)])
+    pattern = _mean_position(displacement_px[cut.peak]) - _mean_position(displacement_px[resting])
+    share = shared_part(pattern, points_px)
+    if share > focus.SMALLEST_SHARE:
+        return ""
+    together = sharpness_correlation(movie.frames, masks.tissue, signal)
+    if abs(together) < focus.CLEARLY:
+        return ""
+    return (f"what seems to move goes with the sharpness of the frames (correlation {together:.2f}), and only "
+            f"{max(share, 0):.0%} of it is shared by the whole tissue, so it is the focus that changes")
 
 
 def detection_limit(tracks: Tracks, displacement_px: Floats, params: BeatParams) -> float:
@@ -100,7 +133,8 @@ def detection_limit(tracks: Tracks, displacement_px: Floats, params: BeatParams)
         if len(seen) < 5 or seen.shape[1] < 6:
             return float("nan")
         parts = np.array_split(seen, -(-len(seen) // FRAMES_AT_ONCE))
-        faintest = float(np.median([faintest_in(part) for part in parts])) * EVEN_SHORTENING / np.sqrt(seen.shape[1] / 2)
+        per_point = np.median([faintest_in(part) for part in parts]) / np.sqrt(seen.shape[1] / 2)
+        faintest = EVEN_SHORTENING * float(per_point)
     return max(least, faintest * params.noise_factor / NOISE_FACTOR)
 
 
@@ -116,10 +150,10 @@ def cut_signal(signal: Floats, noise: float, params: BeatParams,
     steady = without_trend(smooth[:, None])[:, 0]
     low, high = np.quantile(steady, [0.02, 0.98])
     stands_out = max(params.noise_factor * noise, params.min_amplitude_px, SMALLEST_PX)
-    if np.ptp(smooth) < stands_out or not goes_on(signal):
-        return none, Without(f"the signal's range is {np.ptp(smooth):.3g} px, its noise {noise:.2g} px", still=True)
-    if np.ptp(steady) < stands_out:
-        return none, Without(f"the tissue drifts by {np.ptp(smooth):.3g} px, but the movie holds no peak of a beat")
+    if np.ptp(steady) < stands_out or not goes_on(signal):
+        if np.ptp(smooth - steady) < stands_out:
+            return none, Without("", still=True)
+        return none, Without("the tissue drifts, but the movie holds no peak of a beat")
     distance = max(1.0, params.min_period_s * frames_per_s) if frames_per_s else 1.0
     prominence = max(stands_out, SMALLEST_SHARE * (high - low))
     # Below both ends, so that a signal that starts or ends high has a peak there: a beat that is cut off.
@@ -225,8 +259,9 @@ def _with_findings(beats: Beats, without: Without) -> Beats:
     if without.still:
         limit = beats.detection_limit_px
         findings.append(Finding(
-            "no_measurable_motion", "fail", f"no measurable motion: {without.why}; beats are below the detection limit "
-            f"of {limit:.2g} px at {FALSE_ALARMS_PERCENT} % false alarms", float(np.ptp(beats.signal_px)), limit))
+            "no_measurable_motion", "fail", "no measurable motion: " + (without.why or (
+                f"any beats are below the detection limit of {limit:.2g} px at {FALSE_ALARMS_PERCENT} % false alarms")),
+            float(np.ptp(beats.signal_px)), limit))
     elif whole == 0:
         why = without.why or "every beat is cut off by the movie's start or end"
         findings.append(Finding("no_whole_beat", "fail", f"no whole beat: {why}", 0.0, 1.0))

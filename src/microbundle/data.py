@@ -236,9 +236,9 @@ class Beats:
     """(B, N, 2): where each marker rests around each beat."""
     method: str
     detection_limit_px: float = float("nan")
-    """Smallest amplitude, as mean absolute displacement, of beats that this movie can tell from no motion: about half of
-    such beats are found, almost all of twice the size, and a motionless movie has a beat in at most 1 % of cases. NaN
-    where the method has no such limit."""
+    """Smallest amplitude, as mean absolute displacement, of beats that this movie can tell from no motion: about half
+    of such beats are found, almost all of twice the size, and a motionless movie has a beat in at most 1 % of cases.
+    NaN where the method has no such limit."""
     findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:

@@ -139,7 +139,7 @@ class Template:
         row, col = self.knots.runs.pixels()
         along = (row - row.mean()) * direction[0] + (col - col.mean()) * direction[1]
         change = along * (self.gr * direction[0] + self.gc * direction[1])
-        return float(np.sqrt((change**2).sum()) / max(np.abs(along).mean(), 1e-12))
+        return float(max(np.sqrt((change**2).sum()), 1e-12) / max(np.abs(along).mean(), 1e-12))
 
     def fit(self, pictures: Sequence[Float32], starts: Sequence[Float32], brights: Sequence[Floats], iterations: int,
             tolerance_px: float = 1e-4) -> list[Fit]:

@@ -88,8 +88,8 @@ def faintest_peak(noise_squares: Floats, frames: int) -> float:
     singular values.
 
     The strongest pattern of noisy frames shows only a share of the beat's course; the share follows from the noise and
-    from the number of directions it has (F. Benaych-Georges and R. Nadakuditi, J. Multivar. Anal. 111, 2012). It must be
-    large enough for the course to stand NOISE_FACTOR standard deviations out of its own noise.
+    from the number of directions it has (F. Benaych-Georges and R. Nadakuditi, J. Multivar. Anal. 111, 2012). It must
+    be large enough for the course to stand NOISE_FACTOR standard deviations out of its own noise.
     """
     mean, spread = float(noise_squares.mean()), float(noise_squares.var())
     if mean <= 0.0:
