@@ -10,10 +10,11 @@ from microbundle.errors import ConfigError, OutputError
 from microbundle.synth import commands
 from microbundle.synth import validate as module
 from microbundle.synth.cases import GROUPS, SETS, case_set
+from microbundle.synth.coverage import LEVELS, QUANTITIES
 from microbundle.synth.scenes import FPS
 from microbundle.synth.validate import LEDGER, MEASURED, Row, run_validation
 from microbundle.synth.validation_figures import write_figures
-from microbundle.synth.validation_tables import SUMMARY, summary_rows, write_tables
+from microbundle.synth.validation_tables import SUMMARY, held_rows, summary_rows, write_tables
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +90,8 @@ def test_tables_and_figures(run):
     assert "2-7 %, 9.2 %" in text
     pytest.importorskip("matplotlib")
     pictures = write_figures(case_set("smoke"), rows, folder)
-    assert {p.stem for p in pictures} == {"error_by_amplitude", "curves_smoke-clean", "curves_smoke-noisy"}
+    assert {p.stem for p in pictures} == {"error_by_amplitude", "calibration", "curves_smoke-clean",
+                                            "curves_smoke-noisy"}
     assert all(p.with_suffix(".pdf").stat().st_size > 1000 for p in pictures)
 
 
@@ -147,3 +149,13 @@ def test_a_case_is_the_same_movie_every_time():
     clean = np.stack([first.rendered.perfect(t).astype(np.float32) for t in range(3)])
     later = first.rendered.noise.quantise(first.rendered.noise.disturb(clean[2], 2, first.movie.count))
     assert np.abs(later.astype(int) - first.movie.frames[2]).max() <= 1
+
+
+def test_intervals_hold_the_truth_about_as_often_as_they_say(run):
+    rows = run[1]
+    held = rows[1].held
+    assert set(held) == set(QUANTITIES)
+    assert all(len(shares) == len(LEVELS) and sorted(shares) == shares for shares in held.values())
+    assert held["displacement"][LEVELS.index(0.95)] > 0.8
+    assert held["displacement"][LEVELS.index(0.5)] < 0.85
+    assert held_rows(rows)[-1][0] == "all"

@@ -118,12 +118,12 @@ def compare(synthetic: SyntheticMovie, analysis: Analysis, domain: Domain) -> Co
     if analysis.frame_count != count:
         raise ValueError(f"analysis: expected the {count} frames of the movie, found {analysis.frame_count}")
     X = domain.points_px.reshape(-1, 2)
-    u = _displacement(truth, X)
+    u = true_displacement(truth, X)
     beats = true_beats(truth)
     pairs, extra = match(beats, analysis)
     windows = tuple(np.arange(beats.start[b], beats.stop[b]) for b, _ in pairs)
 
-    seen = X + _analysis_rest(truth, analysis, X)
+    seen = X + analysis_rest(truth, analysis, X)
     found = np.asarray(analysis.displacement_at(seen), float)
     drift = found - np.asarray(analysis.displacement_at(seen, relative_to="beat"), float)
     owner = analysis.beats.nearest_beat
@@ -277,11 +277,12 @@ def _periods(true: Floats, found: Floats, pairs: Ints) -> tuple[float, float]:
     return float(t), float(f)
 
 
-def _displacement(truth: Truth, points: Floats) -> Floats:
+def true_displacement(truth: Truth, points: Floats) -> Floats:
+    """Sample the true displacement (T, P, 2) in px of points (P, 2) of the picture without motion."""
     return np.stack([truth.displacement_px(points, t) for t in range(truth.motion.count)])
 
 
-def _analysis_rest(truth: Truth, analysis: Analysis, points: Floats) -> Floats:
+def analysis_rest(truth: Truth, analysis: Analysis, points: Floats) -> Floats:
     """True displacement (N, 2) of points in the analysis's relaxed image; `paper` takes frame 0 for relaxed."""
     frames = np.flatnonzero(analysis.beats.relaxed)
     if analysis.beats.method == "paper" or not len(frames):
@@ -314,8 +315,8 @@ def _own_ecc(truth: Truth, analysis: Analysis, beats: TrueBeats, pairs: Ints,
             continue
         X = seen
         for _ in range(2):  # the analysis's relaxed image shows X displaced by a little
-            X = seen - _analysis_rest(truth, analysis, X)
-        u = _displacement(truth, X)
+            X = seen - analysis_rest(truth, analysis, X)
+        u = true_displacement(truth, X)
         for (b, a), window in zip(pairs, windows, strict=True):
             rest = u[rest_frames(beats, analysis, b, a)].mean(axis=0)
             true[window, s] = _ecc(X + rest, u[window] - rest, turn)

@@ -34,6 +34,7 @@ from ..data import Floats
 from ..errors import MicrobundleError, OutputError
 from ..pipeline import analyze
 from .cases import Case
+from .coverage import coverage
 from .render import SyntheticMovie
 from .scores import Comparison, Scores, compare, score
 
@@ -58,6 +59,8 @@ class Row:
     """Processor time of the analysis; drawing and scoring come on top."""
     drawing_seconds: float = np.nan
     scores: Mapping[str, float] = field(default_factory=lambda: Scores().as_dict())
+    held: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    """By quantity: share of intervals that hold the truth, at each of the levels in `coverage`."""
 
     @property
     def measured(self) -> bool:
@@ -150,7 +153,8 @@ def run_case(case: Case, config: Config, folder: Path, shown: SyntheticMovie, ke
     except MicrobundleError as error:
         return replace(row, seconds=time.process_time() - start, status=f"failed: {type(error).__name__}: {error}")
     save_traces(folder / TRACES / f"{case.name}.npz", comparison)
-    return replace(row, status=status_of(analysis, comparison), scores=score(comparison).as_dict())
+    return replace(row, status=status_of(analysis, comparison), scores=score(comparison).as_dict(),
+                   held=coverage(shown, analysis, comparison))
 
 
 def status_of(analysis: Analysis, comparison: Comparison) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import MicrobundleError, OutputError
 from .cases import GROUPS, Case
+from .coverage import LEVELS, QUANTITIES
 from .scenes import Elements
 from .validate import TRACES, Row
 
@@ -50,6 +51,8 @@ def _figures(new: type[Figure], cases: Sequence[Case], rows: Sequence[Row], fold
     out = []
     if scored:
         out.append(("error_by_amplitude", error_by_amplitude(new, scored)))
+    if any(r.held for r in rows):
+        out.append(("calibration", calibration(new, [r for r in rows if r.held])))
     by_name = {c.name: c for c in cases}
     for passive in (False, True):
         noisy = [(by_name[r.case], r) for r in rows if r.case in by_name and by_name[r.case].octaves is not None
@@ -81,6 +84,23 @@ def error_by_amplitude(new: type[Figure], rows: Sequence[Row]) -> Figure:
         axes.set(xscale="log", yscale="log", xlabel="true peak MAD (px)", ylabel=label)
         axes.grid(alpha=0.3)
     figure.axes[0].legend(fontsize=7)
+    return figure
+
+
+def calibration(new: type[Figure], rows: Sequence[Row]) -> Figure:
+    """Draw how often intervals hold the truth against how often they should, by quantity: each movie and the mean."""
+    figure = new(figsize=(9.6, 2.9), layout="constrained")
+    wanted = 100 * np.array(LEVELS)
+    panels = figure.subplots(1, len(QUANTITIES), sharex=True, sharey=True)
+    for axes, quantity, color in zip(panels, QUANTITIES, _colors(), strict=False):
+        held = 100 * np.array([r.held[quantity] for r in rows if quantity in r.held]).reshape(-1, len(LEVELS))
+        axes.plot([40, 100], [40, 100], color="0.6", linewidth=1)
+        axes.fill_between([94, 96], 90, 98, color="0.85", linewidth=0)
+        axes.plot(wanted, held.T, color=color, alpha=0.2, linewidth=0.8)
+        axes.plot(wanted, held.mean(axis=0), "o-", color=color, markersize=4)
+        axes.set(title=quantity, xlabel="interval (%)", xlim=(45, 101), ylim=(0, 103))
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("holds the truth (%)")
     return figure
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..errors import OutputError
 from . import cases as regimes
+from .coverage import LEVELS, QUANTITIES
 from .validate import Row
 
 if TYPE_CHECKING:
@@ -92,6 +93,22 @@ CASE = ("movie", "peak MAD px", "MAD error", "E_cc MAE / peak", "E_cc R2", "E_cc
         "drift px", "missed", "status")
 
 
+def held_rows(rows: Sequence[Row]) -> list[tuple[str, ...]]:
+    """Make one line of text for each regime, and one for all: how often intervals of 95 % held the truth, by quantity
+    the mean over movies."""
+    at = LEVELS.index(0.95)
+    out = []
+    for group in [*regimes.GROUPS, "all"]:
+        mine = [r for r in rows if r.held and group in (r.group, "all")]
+        if mine:
+            each = [[100 * r.held[q][at] for r in mine if q in r.held] for q in QUANTITIES]
+            out.append((group, str(len(mine)), *(f"{np.mean(v):.0f} %" if v else "" for v in each)))
+    return out
+
+
+HELD = ("regime", "movies", *QUANTITIES)
+
+
 def table(rows: Sequence[Row]) -> pd.DataFrame:
     """All scores, one row for each movie."""
     import pandas as pd
@@ -108,6 +125,8 @@ def write_tables(rows: Sequence[Row], folder: Path, title: str) -> list[Path]:
     text = [f"# {title}", "", markdown(SUMMARY, summary), "",
             "Percentages are of the truth; worst and middle (median) are over the movies that were measured.", "",
             markdown(CASE, case_rows(rows)), ""]
+    if any(r.held for r in rows):
+        text += ["How often an interval of 95 % holds the truth:", "", markdown(HELD, held_rows(rows)), ""]
     failed = [f"- {r.case}: {r.status}" for r in rows if not r.measured]
     files = [folder / name for name in ("scores.csv", "summary.csv", "summary.md")]
     try:
