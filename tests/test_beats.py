@@ -5,7 +5,7 @@ import pytest
 
 from microbundle.beats import Cut, cut_signal, find_beats
 from microbundle.config import BeatParams, Config
-from microbundle.contraction import contraction_signal, frame_noise
+from microbundle.contraction import contraction_signal, frame_noise, rest_weights
 from microbundle.data import Masks, Movie, TissueAxis, Tracks
 
 AMPLITUDE_PX = 2.0
@@ -214,3 +214,25 @@ def test_published_method_on_too_few_peaks_says_what_it_needs():
     beats = find_beats(*tracked(twitches([6, 30], 13, 60)), Config(method="paper"))
     assert len(beats) == 0
     assert "three peaks" in beats.findings[0].message
+
+
+def test_rest_is_taken_at_the_peak_however_long_the_rests_are():
+    relaxed = np.zeros(60, bool)
+    relaxed[[*range(20), 38, 39]] = True  # 20 frames of rest before the beat, two after it
+    drift = 5 + 0.3 * np.arange(60)
+    weights = rest_weights(relaxed, np.array([29]))
+    np.testing.assert_allclose(weights @ drift, drift[29])
+    assert weights[0, ~relaxed].sum() == 0
+    one_side = rest_weights(np.arange(60) < 20, np.array([29, 50]))
+    np.testing.assert_allclose(one_side, np.repeat((np.arange(60) < 20)[None] / 20, 2, axis=0))
+
+
+def test_steady_drift_does_not_change_a_beats_height():
+    signal = twitches(6 + 24 * np.arange(5), 13, 126)
+    heights = []
+    for drift_px in (0.0, 4.0):
+        tracks, masks, movie = tracked(signal, drift_px=drift_px)
+        beats = find_beats(tracks, masks, movie, Config())
+        peak = tracks.position_px[beats.peak] - beats.beat_relaxed_px
+        heights.append(np.hypot(peak[..., 0], peak[..., 1]).mean(axis=1)[1:-1])
+    np.testing.assert_allclose(heights[1], heights[0], rtol=0.01)

@@ -1,9 +1,10 @@
 """Cut a movie into beats, and find where the tissue rests before and after each.
 
 The default looks for peaks of the contraction signal that stand out of the signal's own noise. A beat runs from the
-middle of the rest before it to the middle of the rest after it, and each beat's relaxed state is the mean over the
-frames of these two rests; so a drifting stage, a movie that starts contracted, an irregular rhythm or a single beat
-need no trimming. A beat that the movie's start or end cuts off is kept, marked as not complete.
+middle of the rest before it to the middle of the rest after it. Each beat's relaxed state is that of these two rests,
+joined by a straight line in time and taken at the peak; so a drifting stage, a movie that starts contracted, an
+irregular rhythm or a single beat need no trimming. A beat that the movie's start or end cuts off is kept, marked as not
+complete. Where nothing stands out, the result says how small a beat the movie could have shown.
 
 `paper` follows the published program: peaks of the mean absolute displacement with a fixed prominence, valleys half
 way between peaks, and the first and last beats left out. Source: paper, "Temporal segmentation".
@@ -25,6 +26,7 @@ from .contraction import (
     frame_noise,
     mean_absolute,
     repeating_share,
+    rest_weights,
     without_trend,
 )
 from .data import Beats, Bools, Finding, Floats, Ints, Masks, Movie, Tracks
@@ -236,15 +238,13 @@ def _beats(tracks: Tracks, cut: Cut, noise: float, limit: float, without: Withou
     """Complete a cut with the relaxed positions and the signal."""
     count, markers = tracks.ok.shape
     relaxed = np.zeros(count, bool)
-    beat_relaxed = np.full((len(cut.peak), markers, 2), np.nan)
-    for b, rests in enumerate(cut.rests):
-        here = np.zeros(count, bool)
-        for first, stop in rests:
-            here[first:stop] = True
-        beat_relaxed[b] = _mean_position(tracks.position_px[here])
-        relaxed |= here
+    for first, stop in (rest for rests in cut.rests for rest in rests):
+        relaxed[first:stop] = True
     if not cut.peak:
         relaxed[:] = True
+    beat_relaxed = np.full((len(cut.peak), markers, 2), np.nan)
+    for b, weights in enumerate(rest_weights(relaxed, np.array(cut.peak, int))):
+        beat_relaxed[b] = _mean_position(tracks.position_px[weights > 0], weights[weights > 0])
     rest = _mean_position(tracks.position_px[relaxed])
     moved = tracks.position_px[:, tracks.kept] - rest[tracks.kept].astype(np.float32)
     signal = mean_absolute(moved)
@@ -300,8 +300,9 @@ def _paper_beats(tracks: Tracks) -> Beats:
     return _with_findings(beats, Without(f"the published method needs three peaks; {len(peaks)} were found"))
 
 
-def _mean_position(position_px: Floats) -> Floats:
-    """Mean over frames (F, N, 2) -> (N, 2), over the frames in which each marker was followed."""
+def _mean_position(position_px: Floats, weights: Floats | None = None) -> Floats:
+    """Mean over frames (F, N, 2) -> (N, 2), over the frames in which each marker was followed, by weights (F,)."""
     seen: Bools = np.isfinite(position_px)
-    total = np.where(seen, position_px, 0).sum(axis=0, dtype=float)
-    return np.asarray(np.divide(total, seen.sum(axis=0), out=np.full(total.shape, np.nan), where=seen.any(axis=0)))
+    weight = seen * (np.ones(len(seen)) if weights is None else weights)[:, None, None]
+    total = (weight * np.where(seen, position_px, 0)).sum(axis=0)
+    return np.asarray(np.divide(total, weight.sum(axis=0), out=np.full(total.shape, np.nan), where=seen.any(axis=0)))

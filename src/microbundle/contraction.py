@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .data import Floats, known
+from .data import Bools, Floats, Ints, known
 
 MAX_POINTS = 250
 CLEARLY_REPEATS = 0.8
@@ -34,6 +34,27 @@ def contraction_signal(displacement_px: Floats, points_px: Floats, direction: Fl
     if not signal.any():
         return np.zeros(len(flat))
     return np.asarray(signal * _sign(without_trend(signal[:, None])[:, 0], pattern.reshape(-1, 2), x, direction))
+
+
+def rest_weights(relaxed: Bools, peak: Ints) -> Floats:
+    """Weigh the relaxed frames (T,) so that they give the relaxed state at the peak of each beat: (B, T), of sum 1.
+
+    It is the mean of the rest before the peak and of that after it, joined by a straight line in time, so that steady
+    drift cancels whatever the rests' lengths. A beat with a rest on one side only takes its mean; one without, the mean
+    of all relaxed frames.
+    """
+    t, out = np.arange(len(relaxed)), np.zeros((len(peak), len(relaxed)))
+    limits = [-1, *peak.tolist(), len(relaxed)]
+    for b, top in enumerate(peak.tolist()):
+        before, after = relaxed & (t > limits[b]) & (t < top), relaxed & (t > top) & (t < limits[b + 2])
+        if before.any() and after.any():
+            first, last = t[before].mean(), t[after].mean()
+            out[b, before] = (last - top) / (last - first) / before.sum()
+            out[b, after] = (top - first) / (last - first) / after.sum()
+        else:
+            some = before | after if (before | after).any() else relaxed
+            out[b, some] = 1 / max(int(some.sum()), 1)
+    return out
 
 
 def mean_absolute(displacement_px: Floats) -> Floats:

@@ -104,17 +104,21 @@ def _clock(analysis: Analysis) -> Floats:
 
 
 def beat_signal(analysis: Analysis) -> Floats:
-    """Mean absolute displacement (T,) in px of each frame from the relaxed state of the beat nearest to it; NaN in a
-    frame in which no marker was followed."""
+    """Mean absolute displacement (T,) in px of each frame from the relaxed state of the beat nearest to it, which moves
+    on with the drift from beat to beat; NaN in a frame in which no marker was followed."""
     beats, tracks = analysis.beats, analysis.tracks
     if len(beats) == 0:
         return beats.signal_px
     out = np.empty(analysis.frame_count)
-    kept = tracks.kept
+    kept, t = tracks.kept, np.arange(analysis.frame_count)
+    rest = beats.beat_relaxed_px[:, kept]
+    whole = np.flatnonzero(beats.complete)  # a beat that is cut off has its rest at another time
+    drift = np.gradient(rest[whole], beats.peak[whole], axis=0) if len(whole) > 1 else np.zeros((1, *rest.shape[1:]))
     for b in range(len(beats)):
         frames = beats.nearest_beat == b
-        moved = tracks.position_px[frames][:, kept] - beats.beat_relaxed_px[b, kept].astype(np.float32)
-        out[frames] = mean_absolute(moved)
+        near = int(np.argmin(np.abs(whole - b))) if len(whole) > 1 else 0
+        at_rest = rest[b] + (t[frames] - beats.peak[b])[:, None, None] * drift[near]
+        out[frames] = mean_absolute(tracks.position_px[frames][:, kept] - at_rest.astype(np.float32))
     return out
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .config import Config, StrainParams
+from .contraction import rest_weights
 from .data import Beats, Bools, Floats, Ints, Masks, Strain, Tracks, known
 from .field import Field, inside_tissue
 from .geometry import rotation, to_image, to_tissue
@@ -92,9 +93,9 @@ def _of_field(field: Field, beats: Beats, tiling: Tiling, tissue: Bools) -> Defo
     tiles = weigh_tiles(field, tiling, tissue)
     gradient, shift = tiles.gradient(field.weighted(tiles.weights))
     F = np.eye(2) + gradient
-    for frames, resting in _rests(beats, beats.relaxed):
-        F[frames] = F[frames] @ np.linalg.inv(F[resting].mean(axis=0))
-        shift[frames] -= shift[resting].mean(axis=0)
+    for frames, weights in _rests(beats):
+        F[frames] = F[frames] @ np.linalg.inv(np.tensordot(weights, F, 1))
+        shift[frames] -= np.tensordot(weights, shift, 1)
     return Deformation(F, shift, tiles.count, tiles.reason)
 
 
@@ -151,12 +152,13 @@ def _lattice(box: Floats) -> Floats:
     return np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def _rests(beats: Beats, relaxed: Bools) -> list[tuple[Bools, Bools]]:
-    """Frames of each beat, or nearest to it, and those of them in which the tissue rests."""
+def _rests(beats: Beats) -> list[tuple[Bools, Floats]]:
+    """Frames (T,) of each beat, or nearest to it, and the weights (T,) of the frames that give its relaxed state."""
+    relaxed = beats.relaxed
     if len(beats) == 0:
-        return [(np.ones(len(relaxed), bool), relaxed)]
-    groups = [beats.nearest_beat == b for b in range(len(beats))]
-    return [(frames, frames & relaxed if (frames & relaxed).any() else relaxed) for frames in groups]
+        return [(np.ones(len(relaxed), bool), relaxed / max(int(relaxed.sum()), 1))]
+    nearest = beats.nearest_beat
+    return [(nearest == b, weights) for b, weights in enumerate(rest_weights(relaxed, beats.peak))]
 
 
 def fit_gradient(X: Floats, x: Floats, min_markers: int = 3) -> tuple[Floats, Floats]:
