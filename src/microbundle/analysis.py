@@ -43,6 +43,9 @@ class Analysis:
     input_hash: str
     """SHA-256 over the movie's files, or the empty string for a movie made in memory."""
     versions: Mapping[str, str]
+    stage_px: Floats | None = None
+    """(T, 2): shift of the background against the reference frame, or None where it does not show. Longer movies are
+    looked at in 40 frames, with straight lines between them."""
 
     @property
     def frame_count(self) -> int:

@@ -17,6 +17,7 @@ from .mask import find_masks
 from .read import calibrated, content_hash, prepare
 from .reference import find_relaxed_frame
 from .register import register
+from .stage_motion import measure_stage, stage_finding
 from .strain import measure_strain
 from .track import track_markers
 
@@ -46,6 +47,7 @@ def analyze(movie: Movie, config: Config | None = None, *, masks: Masks | None =
     tracks = follow(movie, masks, markers, config, stage(tell, "tracking", 0.25, 0.9))
     stage(tell, "beats and strain", 0.9, 1.0)
     beats = find_beats(tracks, masks, movie, config)
+    background = None if config.method == "paper" else measure_stage(movie, masks, reference_frame)
     grid = interpolate_grid(tracks, beats, masks, config)
     strain, no_strain = _strain_or_reason(tracks, beats, masks, config)
     tell(Progress("done", 1.0))
@@ -54,8 +56,9 @@ def analyze(movie: Movie, config: Config | None = None, *, masks: Masks | None =
         name=movie.name, image=movie.frames[reference_frame], time_s=movie.time_s, time_source=movie.time_source,
         um_per_px=movie.um_per_px, um_per_px_source=movie.um_per_px_source, config=config, masks=masks,
         markers=markers, tracks=tracks, beats=beats, grid=grid, strain=strain,
-        movie_findings=movie.findings + no_strain, files=tuple(str(file) for file in movie.files),
-        input_hash=content_hash(movie), versions=_versions(),
+        movie_findings=movie.findings + no_strain + stage_finding(background, beats),
+        files=tuple(str(file) for file in movie.files), input_hash=content_hash(movie), versions=_versions(),
+        stage_px=None if background is None else background.shift_px,
     )
 
 
