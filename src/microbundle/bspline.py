@@ -10,10 +10,14 @@ The kernels are compiled by numba at their first use and kept on disk; that take
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb
 from typing import Any
 
 import numba
 import numpy as np
+from llvmlite import ir
+from numba.core import types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 Float32 = NDArray[np.float32]
@@ -24,6 +28,7 @@ HORIZON = 14
 
 jit: Any = numba.njit(fastmath=True, nogil=True, cache=True, error_model="numpy")
 inlined: Any = numba.njit(inline="always")
+written: Any = intrinsic
 
 
 @dataclass(frozen=True)
@@ -108,96 +113,136 @@ def prefilter(image: Float32) -> None:
                     image[r, c] = z * (image[r, c + 1] - gain * image[r, c])
 
 
-@inlined
-def _flank(f: Any) -> Any:
-    """Weight of the second coefficient from the left."""
-    F = np.float32
-    inner = F(20 / 120) + f * (F(-20 / 120) + f * F(5 / 120))
-    return F(26 / 120) + f * (F(-50 / 120) + f * (F(20 / 120) + f * inner))
+def _taps() -> NDArray[np.float32]:
+    """Weights of the six coefficients around a place, as polynomials (6, 8) of its fraction between two pixels; each
+    row is a power, and two columns of zeros make it a vector of eight."""
+    taps = np.zeros((6, 8))
+    for k in range(6):
+        for j in range(6 - k):
+            powers = [comb(5, d) * float(5 - k - j) ** (5 - d) for d in range(6)]  # of (f + 5 - k - j)^5
+            taps[:, k] += (-1) ** j * comb(6, j) * np.array(powers) / 120
+    return taps.astype(np.float32)
+
+
+@written
+def _value(_typing: Any, flat: Any, _first: Any, _width: Any, _down: Any, _right: Any) -> Any:
+    """Interpolate at the fractions (down, right) inside the six rows of six coefficients from flat[first] on.
+
+    Written for vectors of eight, for a compiler finds no vectors here; of two more coefficients than it needs it reads
+    whatever stands there.
+    """
+    f32, i32 = ir.FloatType(), ir.IntType(32)
+    vector, order = ir.VectorType(f32, 8), ir.VectorType(i32, 8)
+    blank, fast, taps = ir.Constant(vector, ir.Undefined), ("fast",), _taps().tolist()
+
+    def codegen(context: Any, b: Any, signature: Any, args: Any) -> Any:
+        def picked(v: Any, lanes: list[int]) -> Any:
+            return b.shuffle_vector(v, blank, ir.Constant(order, lanes))
+
+        def weights(fraction: Any) -> Any:
+            f = picked(b.insert_element(blank, fraction, ir.Constant(i32, 0)), [0] * 8)
+            total = ir.Constant(vector, taps[5])
+            for power in taps[4::-1]:
+                total = b.fadd(b.fmul(total, f, fast), ir.Constant(vector, power), fast)
+            return total
+
+        data = context.make_array(signature.args[0])(context, b, args[0]).data
+        at, rows = args[1], weights(args[3])
+        total = ir.Constant(vector, [0.0] * 8)
+        for k in range(6):
+            line = b.load(b.bitcast(b.gep(data, [at]), vector.as_pointer()), align=4)
+            total = b.fadd(total, b.fmul(line, picked(rows, [k] * 8), fast), fast)
+            at = b.add(at, args[2])
+        total = b.fmul(total, weights(args[4]), fast)
+        for half in (4, 2, 1):
+            total = b.fadd(total, picked(total, [(lane + half) % 8 for lane in range(8)]), fast)
+        return b.extract_element(total, ir.Constant(i32, 0))
+
+    return types.float32(flat, types.int64, types.int64, types.float32, types.float32), codegen
 
 
 @inlined
-def _quintic(f: Any) -> Any:
-    """Weights of the six coefficients around a place at fraction f between two pixels."""
-    F = np.float32
-    g = F(1) - f
-    f2, g2 = f * f, g * g
-    left = F(66 / 120) + f2 * (F(-60 / 120) + f2 * (F(30 / 120) - f * F(10 / 120)))
-    right = F(66 / 120) + g2 * (F(-60 / 120) + g2 * (F(30 / 120) - g * F(10 / 120)))
-    return g2 * g2 * g * F(1 / 120), _flank(f), left, right, _flank(g), f2 * f2 * f * F(1 / 120)
-
-
-@inlined
-def _sample_run(C, W, R, S, index, y, x, n, out):
-    """Interpolate a picture's coefficients at n places (y, x) into out."""
-    flat = C.ravel()
+def _sample_run(flat, W, y, x, n, out):
+    """Interpolate a picture's coefficients, W to a row, at n places (y, x) into out."""
     for i in range(n):
         iy, ix = np.int32(y[i]), np.int32(x[i])
-        index[i] = (iy - 2) * W + ix - 2
-        a0, a1, a2, a3, a4, a5 = _quintic(y[i] - np.float32(iy))
-        b0, b1, b2, b3, b4, b5 = _quintic(x[i] - np.float32(ix))
-        R[0, i], R[1, i], R[2, i], R[3, i], R[4, i], R[5, i] = a0, a1, a2, a3, a4, a5
-        S[0, i], S[1, i], S[2, i], S[3, i], S[4, i], S[5, i] = b0, b1, b2, b3, b4, b5
-    for i in range(n):
-        j = np.int64(index[i])
-        s0, s1, s2, s3, s4, s5 = S[0, i], S[1, i], S[2, i], S[3, i], S[4, i], S[5, i]
-        total = R[0, i] * (s0 * flat[j] + s1 * flat[j + 1] + s2 * flat[j + 2] + s3 * flat[j + 3] + s4 * flat[j + 4]
-                           + s5 * flat[j + 5])
-        j += W
-        total += R[1, i] * (s0 * flat[j] + s1 * flat[j + 1] + s2 * flat[j + 2] + s3 * flat[j + 3] + s4 * flat[j + 4]
-                            + s5 * flat[j + 5])
-        j += W
-        total += R[2, i] * (s0 * flat[j] + s1 * flat[j + 1] + s2 * flat[j + 2] + s3 * flat[j + 3] + s4 * flat[j + 4]
-                            + s5 * flat[j + 5])
-        j += W
-        total += R[3, i] * (s0 * flat[j] + s1 * flat[j + 1] + s2 * flat[j + 2] + s3 * flat[j + 3] + s4 * flat[j + 4]
-                            + s5 * flat[j + 5])
-        j += W
-        total += R[4, i] * (s0 * flat[j] + s1 * flat[j + 1] + s2 * flat[j + 2] + s3 * flat[j + 3] + s4 * flat[j + 4]
-                            + s5 * flat[j + 5])
-        j += W
-        out[i] = total + R[5, i] * (s0 * flat[j] + s1 * flat[j + 1] + s2 * flat[j + 2] + s3 * flat[j + 3]
-                                    + s4 * flat[j + 4] + s5 * flat[j + 5])
+        out[i] = _value(flat, np.int64(iy - 2) * W + (ix - 2), W, y[i] - np.float32(iy), x[i] - np.float32(ix))
 
 
 @inlined
-def _move_run(p, table, h, lead, r, a0, a1, H, W, line, y, x):
-    """Places (y, x) to which the displacement p carries the pixels a0 ... a1 - 1 of row r, kept inside the picture."""
-    F = np.float32
-    cell = (r - lead) // h
-    f = r - lead - cell * h
-    for k in range((a0 - lead) // h, (a1 - 1 - lead) // h + 4):
-        u, v = F(0), F(0)
+def _move_cells(p, table, h, lead, cell, c0, c1, moved):
+    """Displacement p along one row of cells: what its four rows of knots add in columns c0 ... c1 - 1, (2, 4, W)."""
+    for i in range(2):
         for a in range(4):
-            u += table[f, a] * p[0, cell + a, k]
-            v += table[f, a] * p[1, cell + a, k]
-        line[0, k], line[1, k] = u, v
-    c = a0
-    while c < a1:
-        k = (c - lead) // h
-        b = lead + k * h
-        e = min(b + h, a1)
-        u0, u1, u2, u3 = line[0, k], line[0, k + 1], line[0, k + 2], line[0, k + 3]
-        v0, v1, v2, v3 = line[1, k], line[1, k + 1], line[1, k + 2], line[1, k + 3]
-        for q in range(c, e):
-            w0, w1, w2, w3 = table[q - b, 0], table[q - b, 1], table[q - b, 2], table[q - b, 3]
-            y[q - a0] = min(max(F(r) + u0 * w0 + u1 * w1 + u2 * w2 + u3 * w3, F(2)), F(H - 4))
-            x[q - a0] = min(max(F(q) + v0 * w0 + v1 * w1 + v2 * w2 + v3 * w3, F(2)), F(W - 4))
-        c = e
+            for k in range((c0 - lead) // h, (c1 - 1 - lead) // h + 1):
+                b = lead + k * h
+                p0, p1, p2, p3 = p[i, cell + a, k], p[i, cell + a, k + 1], p[i, cell + a, k + 2], p[i, cell + a, k + 3]
+                for q in range(max(b, c0), min(b + h, c1)):
+                    moved[i, a, q] = (p0 * table[q - b, 0] + p1 * table[q - b, 1] + p2 * table[q - b, 2]
+                                      + p3 * table[q - b, 3])
+
+
+@inlined
+def _add(weight, values, out):
+    """out += weight * values, in a loop so plain that it becomes vectors."""
+    for i in range(out.size):
+        out[i] += weight * values[i]
+
+
+@inlined
+def _move_run(moved, weights, r, a0, a1, H, W, y, x):
+    """Places (y, x) to which the pixels a0 ... a1 - 1 of row r are moved, kept inside the picture. One row more is
+    kept free below, for `_value` reads two coefficients too many."""
+    F = np.float32
+    y, x = y[:a1 - a0], x[:a1 - a0]
+    for i in range(a1 - a0):
+        y[i], x[i] = F(r), F(a0 + i)
+    for a in range(4):
+        _add(weights[a], moved[0, a, a0:a1], y)
+        _add(weights[a], moved[1, a, a0:a1], x)
+    for i in range(a1 - a0):
+        y[i] = min(max(y[i], F(2)), F(H - 5))
+        x[i] = min(max(x[i], F(2)), F(W - 4))
 
 
 @jit
 def pull_back(C, row, first, stop, start, table, lead, p, out):
     """Interpolate a picture (coefficients C) at the displaced pixels of the runs: out (P,)."""
     H, W = C.shape
-    h = table.shape[0]
-    line = np.empty((2, p.shape[2]), np.float32)
-    y, x, index = np.empty(W, np.float32), np.empty(W, np.float32), np.empty(W, np.int32)
-    R, S = np.empty((6, W), np.float32), np.empty((6, W), np.float32)
+    h, flat = table.shape[0], C.ravel()
+    c0, c1 = first.min(), stop.max()
+    moved = np.empty((2, 4, W), np.float32)
+    y, x = np.empty(W, np.float32), np.empty(W, np.float32)
+    cell = np.int64(-1)
     for s in range(row.size):
         r, a0, a1 = row[s], first[s], stop[s]
-        _move_run(p, table, h, lead, r, a0, a1, H, W, line, y, x)
-        _sample_run(C, W, R, S, index, y, x, a1 - a0, out[start[s]:])
+        if (r - lead) // h != cell:
+            cell = (r - lead) // h
+            _move_cells(p, table, h, lead, cell, c0, c1, moved)
+        _move_run(moved, table[r - lead - cell * h], r, a0, a1, H, W, y, x)
+        _sample_run(flat, W, y, x, a1 - a0, out[start[s]:])
+
+
+@inlined
+def _gather_cells(seen, table, h, lead, cell, c0, c1, rhs):
+    """The transpose of `_move_cells`: add what one row of cells has seen, (2, 4, W), to the knots."""
+    F = np.float32
+    for i in range(2):
+        for a in range(4):
+            for k in range((c0 - lead) // h, (c1 - 1 - lead) // h + 1):
+                b = lead + k * h
+                s0, s1, s2, s3 = F(0), F(0), F(0), F(0)
+                for q in range(max(b, c0), min(b + h, c1)):
+                    u = seen[i, a, q]
+                    s0 += u * table[q - b, 0]
+                    s1 += u * table[q - b, 1]
+                    s2 += u * table[q - b, 2]
+                    s3 += u * table[q - b, 3]
+                    seen[i, a, q] = 0
+                rhs[i, cell + a, k] += s0
+                rhs[i, cell + a, k + 1] += s1
+                rhs[i, cell + a, k + 2] += s2
+                rhs[i, cell + a, k + 3] += s3
 
 
 @jit
@@ -210,31 +255,37 @@ def sweep(C, row, first, stop, start, table, lead, p, f, gr, gc, scale, bright, 
     """
     F = np.float32
     H, W = C.shape
-    h = table.shape[0]
-    line, acc = np.empty((2, p.shape[2]), np.float32), np.empty((2, p.shape[2]), np.float32)
+    h, flat = table.shape[0], C.ravel()
+    c0, c1 = first.min(), stop.max()
+    moved, seen = np.empty((2, 4, W), np.float32), np.zeros((2, 4, W), np.float32)
     y, x, g = np.empty(W, np.float32), np.empty(W, np.float32), np.empty(W, np.float32)
-    index = np.empty(W, np.int32)
-    R, S = np.empty((6, W), np.float32), np.empty((6, W), np.float32)
     rhs[:] = 0
     rhs_b[:] = 0
     squares = np.float64(0)
     mean, ym, ys, xm, xs = scale[0], scale[1], scale[2], scale[3], scale[4]
+    cell = np.int64(-1)
     for s in range(row.size):
         r, a0, a1, o = row[s], first[s], stop[s], start[s]
         n = a1 - a0
-        _move_run(p, table, h, lead, r, a0, a1, H, W, line, y, x)
-        _sample_run(C, W, R, S, index, y, x, n, g)
+        if (r - lead) // h != cell:
+            if cell >= 0:
+                _gather_cells(seen, table, h, lead, cell, c0, c1, rhs)
+            cell = (r - lead) // h
+            _move_cells(p, table, h, lead, cell, c0, c1, moved)
+        weights = table[r - lead - cell * h]
+        _move_run(moved, weights, r, a0, a1, H, W, y, x)
+        _sample_run(flat, W, y, x, n, g)
         ly = (F(r) - ym) * ys
         A, B = bright[0] + bright[1] * ly, bright[3] + bright[4] * ly
         A1, B1 = bright[2], bright[5]
         q0, q1, q2, q3, sq = F(0), F(0), F(0), F(0), F(0)
+        relaxed, residual = f[o:o + n], res[o:o + n]
         for i in range(n):
             lx = (F(a0 + i) - xm) * xs
-            d = f[o + i] - mean
-            e = g[i] - f[o + i] - d * (A + A1 * lx) - (B + B1 * lx)
+            d = relaxed[i] - mean
+            e = g[i] - relaxed[i] - d * (A + A1 * lx) - (B + B1 * lx)
             e = min(max(e, -limit), limit)
-            g[i] = e
-            res[o + i] = e
+            residual[i] = e
             sq += e * e
             q0 += d * e
             q1 += d * e * lx
@@ -247,40 +298,13 @@ def sweep(C, row, first, stop, start, table, lead, p, f, gr, gc, scale, bright, 
         rhs_b[3] -= q2
         rhs_b[4] -= q2 * ly
         rhs_b[5] -= q3
-        acc[:, (a0 - lead) // h:(a1 - 1 - lead) // h + 4] = 0
-        c = a0
-        while c < a1:
-            k = (c - lead) // h
-            b = lead + k * h
-            e1 = min(b + h, a1)
-            s0, s1, s2, s3, t0, t1, t2, t3 = F(0), F(0), F(0), F(0), F(0), F(0), F(0), F(0)
-            for q in range(c, e1):
-                e = g[q - a0]
-                u, v = e * gr[o + q - a0], e * gc[o + q - a0]
-                w0, w1, w2, w3 = table[q - b, 0], table[q - b, 1], table[q - b, 2], table[q - b, 3]
-                s0 += u * w0
-                s1 += u * w1
-                s2 += u * w2
-                s3 += u * w3
-                t0 += v * w0
-                t1 += v * w1
-                t2 += v * w2
-                t3 += v * w3
-            acc[0, k] += s0
-            acc[0, k + 1] += s1
-            acc[0, k + 2] += s2
-            acc[0, k + 3] += s3
-            acc[1, k] += t0
-            acc[1, k + 1] += t1
-            acc[1, k + 2] += t2
-            acc[1, k + 3] += t3
-            c = e1
-        cell = (r - lead) // h
-        fr = r - lead - cell * h
-        for k in range((a0 - lead) // h, (a1 - 1 - lead) // h + 4):
-            for a in range(4):
-                rhs[0, cell + a, k] += table[fr, a] * acc[0, k]
-                rhs[1, cell + a, k] += table[fr, a] * acc[1, k]
+        down, right, slope_r, slope_c = y[:n], x[:n], gr[o:o + n], gc[o:o + n]
+        for i in range(n):
+            down[i], right[i] = residual[i] * slope_r[i], residual[i] * slope_c[i]
+        for a in range(4):
+            _add(weights[a], down, seen[0, a, a0:a1])
+            _add(weights[a], right, seen[1, a, a0:a1])
+    _gather_cells(seen, table, h, lead, cell, c0, c1, rhs)
     return squares
 
 

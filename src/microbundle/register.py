@@ -76,7 +76,7 @@ class Window:
             data = tissue
         rows, cols = np.flatnonzero(data.any(axis=1)), np.flatnonzero(data.any(axis=0))
         self.origin = np.array([rows[0] - LEAD_PX, cols[0] - LEAD_PX])
-        size = np.array([rows[-1] + 1 - rows[0], cols[-1] + 1 - cols[0]]) + 2 * LEAD_PX
+        size = np.array([rows[-1] + 1 - rows[0] + LEVELS[0], cols[-1] + 1 - cols[0]]) + 2 * LEAD_PX
         self.size = tuple(int(n) for n in -(-size // LEVELS[0]) * LEVELS[0])
         self.mask = self._cut(data, constant=True)
         self.kernel: Float32 | None = None
