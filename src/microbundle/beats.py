@@ -112,7 +112,7 @@ def _why_focus(displacement_px: Floats, points_px: Floats, signal: Floats, cut: 
     resting = np.unique([t for rests in cut.rests for first, stop in rests for t in range(first, stop)])
     pattern = _mean_position(displacement_px[cut.peak]) - _mean_position(displacement_px[resting])
     share = shared_part(pattern, points_px)
-    if share > focus.SMALLEST_SHARE:
+    if share > focus.SMALLEST_SHARE or np.nanmean(np.hypot(*pattern.T)) > focus.LARGEST_PX:
         return ""
     together = sharpness_correlation(movie.frames, masks.tissue, signal)
     if abs(together) < focus.CLEARLY:
