@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 COUNT = 32
 """Draws; a standard error from them is known to 12 %."""
 SEED = 1729
-MODEL_SHARE, MODEL_PX = 0.003, 0.0007
-"""What interpolation and knots cost: as a share of the motion at a place, and at the motion's peak."""
+GAIN_SHARE, MODEL_SHARE, MODEL_PX = 0.002, 0.003, 0.0007
+"""What interpolation and knots cost: as a share of all motion, of the motion at a place, and at the motion's peak."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +110,7 @@ def draw_errors(unknowns: Floats, modes: Modes, template: Template, rng: np.rand
     mix = rng.standard_normal((count * parts, frames)) / np.sqrt(freedom)
     pattern = grid((mix @ discarded).reshape(count, parts, size))
     pattern += rng.standard_normal((count, 1, 1, 1, 1)) * grid(template.solve(template.penalty @ kept.T).T)
+    pattern += GAIN_SHARE * rng.standard_normal((count, 1, 1, 1, 1)) * grid(kept)
     pattern += MODEL_SHARE * _smooth(rng, (count, 1, *template.knots.shape)) * grid(kept)
     if parts > 1:
         pattern[:, 1] += (MODEL_PX / np.abs(modes.course[:, 0]).max()) * _smooth(rng, (count, *template.knots.shape))

@@ -92,11 +92,11 @@ def _of_field(field: Field, beats: Beats, tiling: Tiling, tissue: Bools) -> Defo
     """F is linear in the field's coefficients, so each tile needs one small set of weights for all frames."""
     tiles = weigh_tiles(field, tiling, tissue)
     gradient, shift = tiles.gradient(field.weighted(tiles.weights))
-    F = np.eye(2) + gradient
-    for frames, weights in _rests(beats):
-        F[frames] = F[frames] @ np.linalg.inv(np.tensordot(weights, F, 1))
-        shift[frames] -= np.tensordot(weights, shift, 1)
-    return Deformation(F, shift, tiles.count, tiles.reason)
+    F, moved = np.empty(gradient.shape), np.empty(shift.shape)
+    for frames, weights in _rests(beats):  # a rest may hold frames of the beat before
+        F[frames] = (np.eye(2) + gradient[frames]) @ np.linalg.inv(np.eye(2) + np.tensordot(weights, gradient, 1))
+        moved[frames] = shift[frames] - np.tensordot(weights, shift, 1)
+    return Deformation(F, moved, tiles.count, tiles.reason)
 
 
 @dataclass(frozen=True)

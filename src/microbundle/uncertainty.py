@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from .analysis import Analysis
-from .contraction import mean_absolute
+from .contraction import mean_absolute, rest_weights
 from .data import Beats, Bools, Floats, Ints, Strain
 from .draws import SEED
 from .field import Field
@@ -109,26 +109,29 @@ def _some_rest(relaxed: Bools, rng: np.random.Generator) -> Bools:
     return out
 
 
-def _rests(beats: Beats, resting: Bools) -> Iterator[tuple[Ints, Bools, Bools]]:
-    """Frames that each beat owns, all relaxed frames around its peak, and those of them in `resting`."""
+def _rests(beats: Beats, resting: Bools) -> Iterator[tuple[Ints, Floats, Floats]]:
+    """Frames that each beat owns, and the weights (T,) of the frames that give its relaxed state: of all relaxed ones,
+    and of those in `resting`."""
     if len(beats) == 0:
-        yield np.arange(len(resting)), beats.relaxed, resting
+        whole, some = (r / max(int(r.sum()), 1) for r in (beats.relaxed, resting))
+        yield np.arange(len(resting)), whole, some
         return
-    t, nearest = np.arange(len(resting)), beats.nearest_beat
-    limits = [-1, *beats.peak.tolist(), len(resting)]
-    for b in range(len(beats)):
-        around = (t > limits[b]) & (t < limits[b + 2])
-        whole, some = beats.relaxed & around, resting & around
-        if not whole.any():
-            whole, some = beats.relaxed, resting
-        yield np.flatnonzero(nearest == b), whole, some
+    pairs = zip(rest_weights(beats.relaxed, beats.peak), rest_weights(resting, beats.peak), strict=True)
+    for b, (whole, some) in enumerate(pairs):
+        yield np.flatnonzero(beats.nearest_beat == b), whole, some
+
+
+def _weighted(weights: Floats, values: Floats) -> Floats:
+    """Weighted sum over frames of values (T, ...), of which only frames with a weight count."""
+    used = weights != 0
+    return np.asarray(np.tensordot(weights[used], values[used], 1))
 
 
 def _from_rests(other: Floats, own: Floats, beats: Beats, resting: Bools) -> Floats:
     """Difference of displacements (T, P, 2), each from the relaxed state of its beat."""
     out = other - own
     for frames, whole, some in _rests(beats, resting):
-        out[frames] -= other[some].mean(axis=0) - own[whole].mean(axis=0)
+        out[frames] -= _weighted(some, other) - _weighted(whole, own)
     return out
 
 
@@ -142,9 +145,10 @@ def _moved(analysis: Analysis, markers: Floats, grid: Floats, resting: Bools) ->
     resting = resting & seen if (resting & seen).any() else relaxed
     shift = position[resting].mean(axis=0) - own[relaxed].mean(axis=0) if relaxed.any() else np.zeros(own.shape[1:])
     beat_shift = np.zeros(beats.beat_relaxed_px.shape)
-    for b, (_, whole, some) in enumerate(_rests(beats, resting)):
-        if b < len(beats) and (whole & seen).any() and (some & seen).any():
-            beat_shift[b] = position[some & seen].mean(axis=0) - own[whole & seen].mean(axis=0)
+    if len(beats):
+        seen_beats = replace(beats, relaxed=relaxed)
+        for b, (_, whole, some) in enumerate(_rests(seen_beats, resting)):
+            beat_shift[b] = _weighted(some, position) - _weighted(whole, own)
     rest = beats.relaxed_px + shift
     kept = tracks.kept
     signal = mean_absolute(position[:, kept] - rest[kept].astype(np.float32))
@@ -162,8 +166,9 @@ def _without_draws(field: Field | None) -> Field | None:
 
 def _strained(strain: Strain, beats: Beats, gradient: Floats, resting: Bools) -> Strain:
     """The strain with the displacement gradient changed by a draw (T, S, 2, 2), from other relaxed frames."""
-    F = strain.F + gradient
+    changed = strain.F + gradient
+    F = changed.copy()
     for frames, whole, some in _rests(beats, resting):
         if whole.any() and some.any():
-            F[frames] = F[frames] @ np.linalg.inv(F[some].mean(axis=0)) @ strain.F[whole].mean(axis=0)
+            F[frames] = changed[frames] @ np.linalg.inv(_weighted(some, changed)) @ _weighted(whole, strain.F)
     return replace(strain, F=F)

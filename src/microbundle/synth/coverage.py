@@ -18,7 +18,7 @@ from ..draws import COUNT
 from ..metrics import beat_signal, beat_values, tables
 from ..uncertainty import displacement_error_at, standard_errors
 from .render import SyntheticMovie
-from .scores import Comparison, analysis_rest, rest_frames, true_displacement
+from .scores import Comparison, analysis_rest, true_displacement, true_rest
 
 LEVELS = (0.5, 0.68, 0.8, 0.9, 0.95, 0.99)
 QUANTITIES = ("displacement", "E_cc", "amplitude", "period")
@@ -70,6 +70,6 @@ def _perfect(synthetic: SyntheticMovie, analysis: Analysis, c: Comparison) -> An
     position = X + true_displacement(synthetic.truth, X)
     rest = beats.beat_relaxed_px.copy()
     for b, a in c.pairs:
-        rest[a] = position[rest_frames(c.beats, analysis, b, a)].mean(axis=0)
+        rest[a] = true_rest(position, c.beats, analysis, b, a)
     return replace(analysis, tracks=replace(analysis.tracks, position_px=position),
                    beats=replace(beats, beat_relaxed_px=rest))

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from ..analysis import Analysis
+from ..contraction import rest_weights
 from ..data import Floats, Ints, known
 from ..geometry import rotation
 from ..metrics import parabola_peak
@@ -134,7 +135,7 @@ def compare(synthetic: SyntheticMovie, analysis: Analysis, domain: Domain) -> Co
     error = np.full(u.shape, np.nan)
     turn = rotation(domain.direction)
     for (b, a), window in zip(pairs, windows, strict=True):
-        rest = u[rest_frames(beats, analysis, b, a)].mean(axis=0)
+        rest = true_rest(u, beats, analysis, b, a)
         found_rest = drift[np.argmax(owner == a)]
         moved, measured = u[window] - rest, found[window] - found_rest
         error[window] = measured - moved
@@ -247,19 +248,19 @@ def match(beats: TrueBeats, analysis: Analysis) -> tuple[Ints, int]:
     return np.array(pairs, int).reshape(-1, 2), extra
 
 
-def rest_frames(beats: TrueBeats, analysis: Analysis, beat: int, found: int) -> Ints:
-    """Frames from which the truth of a beat counts: those that the analysis's relaxed state of its beat `found` is
-    made of and in which the tissue rests indeed; where there are none, the true rests around the beat."""
-    peak = analysis.beats.peak
+def true_rest(u: Floats, beats: TrueBeats, analysis: Analysis, beat: int, found: int) -> Floats:
+    """Relaxed state (N, 2) from which the truth u (T, N, 2) of a beat counts, made as the analysis makes that of its
+    beat `found`, but only of frames in which the tissue rests indeed; where there are none, the true rests around the
+    beat."""
     if analysis.beats.method == "paper":
-        frames = analysis.beats.start[found:found + 1]
-    else:
-        first = peak[found - 1] if found > 0 else 0
-        last = peak[found + 1] if found + 1 < len(peak) else analysis.frame_count
-        frames = np.arange(first, last)
-        frames = frames[analysis.beats.relaxed[first:last]]
-    frames = frames[beats.resting[frames]]
-    return frames if len(frames) else beats.rest_frames(beat)
+        first = int(analysis.beats.start[found])
+        frames = np.array([first]) if beats.resting[first] else beats.rest_frames(beat)
+        return np.asarray(u[frames].mean(axis=0))
+    resting = analysis.beats.relaxed & beats.resting
+    weights = rest_weights(resting, analysis.beats.peak)[found]
+    if not weights.any():
+        return np.asarray(u[beats.rest_frames(beat)].mean(axis=0))
+    return np.asarray(np.tensordot(weights, u, 1))
 
 
 def _peaks(signal: Floats, frames: Ints) -> Floats:
@@ -318,7 +319,7 @@ def _own_ecc(truth: Truth, analysis: Analysis, beats: TrueBeats, pairs: Ints,
             X = seen - analysis_rest(truth, analysis, X)
         u = true_displacement(truth, X)
         for (b, a), window in zip(pairs, windows, strict=True):
-            rest = u[rest_frames(beats, analysis, b, a)].mean(axis=0)
+            rest = true_rest(u, beats, analysis, b, a)
             true[window, s] = _ecc(X + rest, u[window] - rest, turn)
             found[window, s] = strain.E[window, s, 1, 1]
     return true, found
