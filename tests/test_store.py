@@ -86,6 +86,7 @@ def test_findings_settings_files_and_unknowns_come_back(tissue_analysis: Analysi
         tissue_analysis, config=config, name="Gewebe µ 1", time_s=None, time_source="unknown", um_per_px=None,
         um_per_px_source="unknown", strain=None, files=tuple(f"/a/{'long ' * 30}/frame {i}.tif" for i in range(2000)),
         beats=replace(tissue_analysis.beats, noise_px=float("nan")),
+        stage_px=np.linspace(0, 1, 2 * tissue_analysis.frame_count).reshape(-1, 2),
         tracks=replace(tissue_analysis.tracks, forward_backward_px=None))
     assert_same(changed, load(save(changed, tmp_path / "r")))
 

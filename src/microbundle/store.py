@@ -133,6 +133,8 @@ def _to_dataset(a: Analysis) -> xr.Dataset:
             "of the tissue's grey values")
     if a.time_s is not None:
         put("time", ("frame",), a.time_s, "s", "time of each frame")
+    if a.stage_px is not None:
+        put("stage", ("frame", "axis"), a.stage_px, "px", "shift of the background from the reference frame")
     b = a.beats
     put("mean_absolute_displacement", ("frame",), b.signal_px, "px", "mean over markers of the distance from rest")
     put("relaxed", ("frame",), b.relaxed.astype(np.uint8), "1", "1 where the tissue rests")
@@ -242,7 +244,7 @@ def _from_dataset(data: xr.Dataset) -> Analysis:
         markers=markers, tracks=tracks, beats=beats,
         grid=Grid(get("grid_point"), (rows, cols), get("grid_displacement")), strain=strain,
         movie_findings=found["movie"], files=tuple(json.loads(attr["files"])), input_hash=str(attr["input_hash"]),
-        versions=json.loads(attr["versions"]),
+        versions=json.loads(attr["versions"]), stage_px=get("stage") if "stage" in data else None,
     )
 
 
