@@ -3,8 +3,8 @@
     MICROBUNDLE_ORACLE=FILE python benchmarks/oracle.py [SEEDS]
 
 FILE is a Python file with `hiacc(movie, mask)`, which gives a field and its parameters, and `field.tracks(parameters,
-points)`, which gives rows and columns (P, T). Both get the same movies, the same mask, at most 90 px wide, and frame 0 as
-the reference; errors are those of `peers.py`. Without the variable nothing is run.
+points)`, which gives rows and columns (P, T). Both get the same movies, the same mask of at most 90 px width, and frame
+0 as the reference; errors are those of `peers.py`. Without the variable nothing is run.
 """
 
 from __future__ import annotations
