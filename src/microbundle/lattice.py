@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 BENDING = 1e-2
 """Weight of the bending energy, as a share of the mean diagonal of the matrix."""
 LONGEST_STEP_PX = 1.0
-"""A step is cut to this, for the gradient says nothing of what lies beyond a grain of the texture."""
+"""The step of a knot is cut to this, for the gradient says nothing of what lies beyond a grain of the texture."""
 GLINT = 5.0
 """Residuals beyond this many times their root mean square are cut off: a glint or a hot pixel, not tissue."""
-ANDERSON = 2
-"""Earlier steps that a fit learns from."""
+SLOWEST = 0.5
+"""A step is at most this share of the one before, where two steps have not told better."""
 BRIGHTNESS = 6
 """Gain and offset, each constant, along row and along col."""
 
@@ -145,7 +145,10 @@ class Template:
 
     def fit(self, pictures: Sequence[Float32], starts: Sequence[Float32], brights: Sequence[Floats], iterations: int,
             tolerance_px: float = 1e-4) -> list[Fit]:
-        """Register several pictures (B-spline coefficients) at once, so that one pass over the factor serves all."""
+        """Register several pictures (B-spline coefficients) at once, so that one pass over the factor serves all.
+
+        Ends where no knot would move by more than `tolerance_px` in the next step.
+        """
         knots, m = self.knots, len(pictures)
         p = [np.array(s, np.float32) for s in starts]
         b = [np.array(s, float) for s in brights]
@@ -154,8 +157,7 @@ class Template:
         part = np.empty(knots.shape, np.float32)
         active = np.ones(m, bool)
         limit = np.full(m, np.float32(np.finfo(np.float32).max))
-        used = np.zeros(m, int)
-        memories = [_Memory() for _ in range(m)]
+        used, before = np.zeros(m, int), np.zeros(m)
         for _ in range(iterations):
             for i in np.flatnonzero(active).tolist():
                 squares[i] = bspline.sweep(pictures[i], *knots.runs.arrays, knots.table, knots.lead, p[i], self.f,
@@ -173,12 +175,11 @@ class Template:
                 if not np.isfinite(largest):  # no texture at all: stay, and let the residual tell
                     active[i] = False
                     continue
-                active[i] = largest > tolerance_px
-                both = memories[i].step(np.concatenate([step[:, j], bright_step[:, j]]), knots.count)
-                short = min(1.0, LONGEST_STEP_PX / max(float(np.abs(both[:knots.count]).max()), 1e-12))
-                memories[i].taken = short * both
-                p[i] -= np.float32(short) * knots.grid(both[:knots.count]).astype(np.float32)
-                b[i] -= short * both[knots.count:]
+                p[i] -= np.clip(knots.grid(step[:, j]), -LONGEST_STEP_PX, LONGEST_STEP_PX).astype(np.float32)
+                b[i] -= bright_step[:, j]
+                # Steps shrink by nearly the same share each time, which foretells the next one.
+                active[i] = largest * min(largest / max(before[i], 1e-12), SLOWEST) > tolerance_px
+                before[i] = largest
             if not active.any():
                 break
         rms = np.sqrt(squares / knots.runs.count)
@@ -192,28 +193,6 @@ class Template:
                       fit.bright.astype(np.float32), np.finfo(np.float32).max, out,
                       np.empty(knots.shape, np.float32), np.empty(BRIGHTNESS))
         return out
-
-
-class _Memory:
-    """The last steps of a fit, for Anderson acceleration: with the template's gradient in place of the picture's, each
-    step leaves a nearly constant share of the error, which two steps tell (D. Anderson, J. ACM 12, 1965)."""
-
-    def __init__(self) -> None:
-        self.taken: Floats | None = None
-        self.last: Floats | None = None
-        self.moves: list[tuple[Floats, Floats]] = []
-
-    def step(self, plain: Floats, count: int) -> Floats:
-        """Improve a plain step, of which the first `count` parts are lengths in px."""
-        if self.last is not None and self.taken is not None:
-            self.moves = [*self.moves[-ANDERSON + 1:], (self.taken, self.last - plain)]
-        self.last = plain
-        if not self.moves:
-            return plain
-        change = np.stack([c[:count] for _, c in self.moves], axis=1)  # of the plain step, over each move
-        share = np.linalg.lstsq(change, plain[:count], rcond=1e-6)[0]
-        # Along the moves' combination the plain step would vanish; go there, and on by what is left of it.
-        return np.asarray(plain + sum(g * (move - c) for g, (move, c) in zip(share, self.moves, strict=True)))
 
 
 def finer(p: Float32, shape: tuple[int, int, int]) -> Float32:

@@ -1,6 +1,6 @@
 """Find a frame in which the tissue rests, before anything else is measured.
 
-A few hundred strong points are followed through the movie at half resolution; their contraction signal shows when
+A hundred strong points are followed through the movie at half resolution; their contraction signal shows when
 the tissue is relaxed. Movies that start contracted, with one beat or irregular ones, need no trimming.
 """
 
@@ -14,7 +14,7 @@ from .contraction import contraction_signal, frame_noise
 from .data import Floats, Masks, Movie
 from .scaling import Scaling, movie_scaling
 
-POINTS = 200
+POINTS = 100
 MAX_FRAMES = 400
 """Longer movies are sampled at this many frames, one after the other from the start."""
 MIN_FOLLOWED = 0.5
@@ -66,7 +66,7 @@ def _coarse_signal(movie: Movie, masks: Masks, scaling: Scaling, frames: np.ndar
         return None
     points, moved, ok = found.reshape(-1, 2), [], []
     for t in frames:
-        to, status, _ = cv2.calcOpticalFlowPyrLK(first, half(int(t)), points, points.copy(), winSize=(15, 15),
+        to, status, _ = cv2.calcOpticalFlowPyrLK(first, half(int(t)), points, points.copy(), winSize=(11, 11),
                                                  maxLevel=3)
         moved.append(to - points)
         ok.append(status.ravel() > 0)

@@ -44,11 +44,12 @@ LEVELS = (8, 4, 2, 1)
 FEWEST_PIXELS = 150
 """A reduced picture with fewer pixels of tissue says nothing reliable."""
 COARSE_BENDING = 0.1
-COARSE_STEPS, COARSE_TOLERANCE_PX = 5, 2e-3
+COARSE_STEPS, COARSE_TOLERANCE_PX = 5, 3e-2
 FINE_STEPS = 1
 """Of pass A at full resolution; half resolution is right to 0.03 px already, which blurs no template."""
-TEMPLATE_STEPS, TEMPLATE_TOLERANCE_PX = 5, 1e-3
-"""Of pass B; real movies are then 0.0001 px (root mean square) from where 30 steps lead."""
+TEMPLATE_STEPS, TEMPLATE_TOLERANCE_PX = 6, 3e-3
+"""Of pass B, for the knot that moves most; real movies are then 0.0001 px (root mean square) from where 60 steps lead,
+after three steps."""
 TEMPLATE_MARGIN_PX = 6
 BATCH = 4
 """Frames that share one pass over the factorised matrix."""
