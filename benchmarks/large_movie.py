@@ -92,8 +92,9 @@ def measure(folder: Path, frames: int) -> dict[str, float]:
     peak = peak_mb()
     exact = np.stack([motion().displacement_px(points, t % DRAWN) for t in range(frames)])
     found = tracks.position_px - tracks.position_px[0]
+    rmse = float(np.sqrt(((found - (exact - exact[0])) ** 2).mean()))
     return {"frames": frames, "ms_per_frame": 1000 * cpu / frames, "peak_mb": peak, "kernel_mb": peak - before,
-            "rmse_px": float(np.sqrt(((found - (exact - exact[0])) ** 2).mean())), "peak_px": float(np.abs(exact).max())}
+            "rmse_px": rmse, "peak_px": float(np.abs(exact).max())}
 
 
 def warm_up(config) -> None:

@@ -1,7 +1,7 @@
 """Measure the displacement field: every frame is registered against one relaxed picture of the tissue.
 
 1. Frames are cut to the tissue, normalised once for the movie, and kept in floating point.
-2. Pass A, frame after frame from the relaxed reference frame: coarse to fine (quarter, half and full resolution).
+2. Pass A, each frame from the relaxed reference frame: coarse to fine, as far as half resolution.
 3. Where the residual is structured and it helps, frames are filtered to make their noise white.
 4. The template is the mean of all frames pulled back to the reference.
 5. Pass B registers every frame against the template; frames are independent, and run in parallel.
@@ -45,8 +45,8 @@ FEWEST_PIXELS = 150
 """A reduced picture with fewer pixels of tissue says nothing reliable."""
 COARSE_BENDING = 0.1
 COARSE_STEPS, COARSE_TOLERANCE_PX = 5, 3e-2
-FINE_STEPS = 1
-"""Of pass A at full resolution; half resolution is right to 0.03 px already, which blurs no template."""
+FINEST = 2
+"""Reduction at which pass A ends: half resolution is right to 0.05 px already, which blurs no template."""
 TEMPLATE_STEPS, TEMPLATE_TOLERANCE_PX = 6, 3e-3
 """Of pass B, for the knot that moves most; real movies are then 0.0001 px (root mean square) from where 60 steps lead,
 after three steps."""
@@ -137,7 +137,7 @@ def register(movie: Movie, masks: Masks, markers: Markers, config: Config, tell:
     passes = _Passes(movie, window, reference, threads, params.knot_px)
     coefficients, bright, mean = passes.coarse_to_fine(lambda share: tell(0.5 * share))
     if params.whiten == "auto":
-        spectrum = passes.residual_spectrum(coefficients, bright)
+        spectrum = passes.residual_spectrum()
         if flatness(spectrum) < STRUCTURED and passes.worth_filtering(whitening_kernel(spectrum)):
             window.kernel = whitening_kernel(spectrum)
             passes = _Passes(movie, window, reference, threads, params.knot_px)
@@ -194,18 +194,16 @@ def _lost_findings(good: Bools) -> tuple[Finding, ...]:
 class _Passes:
     """The passes over a movie, with what they share."""
 
-    def __init__(self, movie: Movie, window: Window, reference_frame: int, threads: int,
-                 spacing_px: int) -> None:
+    def __init__(self, movie: Movie, window: Window, reference_frame: int, threads: int, spacing_px: int,
+                 finest: int = FINEST) -> None:
         self.movie, self.window, self.reference, self.threads = movie, window, reference_frame, threads
         self.spacing = spacing_px
         first = window(movie.frames[reference_frame])
         pixels = window.mask.sum()
-        self.reductions = [n for n in LEVELS if n == 1 or pixels / n**2 >= FEWEST_PIXELS]
+        self.reductions = [n for n in LEVELS if n >= finest and (n == 1 or pixels / n**2 >= FEWEST_PIXELS)] or [1]
         self.levels = [self._level(n, first) for n in self.reductions]
+        self.knots = Knots(window.mask, KNOT_LEAD_PX, spacing_px, TEMPLATE_MARGIN_PX)
         self.around = Runs.of(ndimage.binary_dilation(window.mask, iterations=TEMPLATE_MARGIN_PX))
-        _, y0, ys, x0, xs = self.levels[-1].scale
-        row, col = (a.astype(np.float32) for a in self.around.pixels())
-        self.place = (row - y0) * ys, (col - x0) * xs
 
     def _level(self, reduction: int, first: Float32) -> Template:
         share = _reduced(self.window.mask.astype(np.float32), reduction)
@@ -218,8 +216,7 @@ class _Passes:
                        frames: range | None = None) -> tuple[Float32, Floats, Float32]:
         """Pass A: coefficients (T, 2, K, L), brightness (T, 6), and the mean (P,) of the frames pulled back."""
         chosen = frames or range(self.movie.count)
-        fine = self.levels[-1].knots
-        coefficients = np.empty((len(chosen), *fine.shape), np.float32)
+        coefficients = np.empty((len(chosen), *self.knots.shape), np.float32)
         bright = np.empty((len(chosen), BRIGHTNESS))
         total: Floats = np.zeros(self.around.count)
         used = 0
@@ -227,9 +224,8 @@ class _Passes:
 
         def one(item: tuple[int, Float32]) -> tuple[int, Fit, Float32]:
             t, picture = item
-            whole = _coefficients(picture)
-            fit = self._coarse_to_fine(picture, whole)
-            return t, fit, self._pulled_back(whole, fit)
+            fit = self._coarse_to_fine(picture)
+            return t, fit, self._pulled_back(picture, fit)
 
         pictures = ((t, self.window(self.movie.frames[t])) for t in chosen)
         for done, (t, fit, relaxed) in enumerate(_in_order(one, pictures, self.threads), 1):
@@ -241,25 +237,24 @@ class _Passes:
             tell(done / len(chosen))
         return coefficients, bright, (total / used).astype(np.float32)
 
-    def _coarse_to_fine(self, picture: Float32, whole: Float32) -> Fit:
+    def _coarse_to_fine(self, picture: Float32) -> Fit:
         p: Float32 = np.zeros(self.levels[0].knots.shape, np.float32)
         bright: Floats = np.zeros(BRIGHTNESS)
-        for i, (level, reduction) in enumerate(zip(self.levels[:-1], self.reductions[:-1], strict=True)):
+        following = [*(level.knots.shape for level in self.levels[1:]), self.knots.shape]
+        for level, reduction, shape in zip(self.levels, self.reductions, following, strict=True):
             part = _coefficients(_reduced(picture, reduction))
             fit = level.fit([part], [p], [bright], COARSE_STEPS, COARSE_TOLERANCE_PX)[0]
-            p, bright = finer(fit.p, self.levels[i + 1].knots.shape), fit.bright
-        return self.levels[-1].fit([whole], [p], [bright], FINE_STEPS)[0]
+            p, bright = finer(fit.p, shape) if reduction > 1 else fit.p, fit.bright
+        return Fit(p, bright, fit.rms, fit.iterations)
 
-    def _pulled_back(self, whole: Float32, fit: Fit) -> Float32:
+    def _pulled_back(self, picture: Float32, fit: Fit) -> Float32:
         """A frame's grey values at the displaced pixels around the tissue, with its brightness undone."""
-        fine = self.levels[-1]
         out = np.empty(self.around.count, np.float32)
-        bspline.pull_back(whole, *self.around.arrays, fine.knots.table, fine.knots.lead, fit.p, out)
-        b = fit.bright.astype(np.float32)
-        y, x = self.place
-        out -= (b[3] + fine.scale[0]) + b[4] * y + b[5] * x
-        out /= (1 + b[0]) + b[1] * y + b[2] * x
-        out += fine.scale[0]
+        bspline.pull_back(_coefficients(picture), *self.around.arrays, self.knots.table, self.knots.lead, fit.p, out)
+        mean, (gain, offset) = self.levels[-1].scale[0], fit.bright[[0, 3]].astype(np.float32)
+        out -= mean + offset
+        out /= max(1 + gain, LOWEST_GAIN)  # below, the frame takes no part
+        out += mean
         return out
 
     def template(self, mean: Float32) -> Template:
@@ -267,7 +262,7 @@ class _Passes:
         picture = self.window(self.movie.frames[self.reference])
         row, col = self.around.pixels()
         picture[row, col] = mean
-        return Template(self.levels[-1].knots, _coefficients(picture))
+        return Template(self.knots, _coefficients(picture))
 
     def against(self, template: Template, coefficients: Float32, bright: Floats,
                 tell: Callable[[float], None]) -> tuple[Float32, Floats, Floats]:
@@ -289,17 +284,22 @@ class _Passes:
             tell((first + len(fits)) / self.movie.count)
         return coefficients, bright, rms
 
-    def residual_spectrum(self, coefficients: Float32, bright: Floats) -> Floats:
-        """Spectrum of what pass A leaves unexplained, over frames spread through the movie."""
-        fine, pictures = self.levels[-1], []
+    def residual_spectrum(self) -> Floats:
+        """Spectrum of what few knots leave unexplained, over frames spread through the movie."""
+        trial, pictures = self._trial(), []
         for t in np.unique(np.linspace(0, self.movie.count - 1, SPECTRUM_FRAMES).astype(int)):
             if t == self.reference:
                 continue
-            fit = Fit(coefficients[t], bright[t], 0.0, 0)
+            picture = self.window(self.movie.frames[int(t)])
+            fit = trial._coarse_to_fine(picture)
             residual = np.zeros(self.window.size, np.float32)
-            residual[self.window.mask] = fine.residual(_coefficients(self.window(self.movie.frames[int(t)])), fit)
+            residual[self.window.mask] = trial.levels[-1].residual(_coefficients(picture), fit)
             pictures.append(residual)
         return noise_spectrum(pictures, self.window.mask)
+
+    def _trial(self) -> _Passes:
+        """The same at full resolution, with few knots."""
+        return _Passes(self.movie, self.window, self.reference, self.threads, TRIAL_SPACING_PX, finest=1)
 
     def worth_filtering(self, kernel: Float32) -> bool:
         """Try a filter on some consecutive frames, with few knots: does it lower the displacement's own noise?"""
@@ -308,7 +308,7 @@ class _Passes:
         noise = []
         for tried in (None, kernel):
             self.window.kernel = tried
-            trial = _Passes(self.movie, self.window, self.reference, self.threads, TRIAL_SPACING_PX)
+            trial = self._trial()
             noise.append(_quiet_noise(trial, trial.coarse_to_fine(frames=frames)[0]))
         self.window.kernel = None
         return noise[1] < WORTH * noise[0]
@@ -333,7 +333,7 @@ def _quiet_noise(trial: _Passes, coefficients: Float32) -> float:
     """Displacement noise in px, from second differences in time of the quietest frames."""
     row, col = np.nonzero(trial.window.mask)
     points = np.stack([row, col], axis=1)[::37].astype(float)
-    basis = trial.levels[-1].knots.basis(points)
+    basis = trial.knots.basis(points)
     flat = basis @ coefficients.reshape(2 * len(coefficients), -1).T
     moved = flat.reshape(len(points), len(coefficients), 2)
     second = moved[:, :-2] - 2 * moved[:, 1:-1] + moved[:, 2:]
