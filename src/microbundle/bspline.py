@@ -334,42 +334,56 @@ def slopes(C, row, first, stop, start, gr, gc):
 def normal_matrix(row, first, stop, start, table, lead, gr, gc, f, scale, band, knots, border, small):
     """Add up J'J: lower band (D, n) of the knots' part, its border (n, 6) with the brightness, and that (6, 6).
 
-    Unknown 2 (k K + j) + i is component i of knot (j, k) of `knots` = K rows.
+    Unknown 2 (k K + j) + i is component i of knot (j, k) of `knots` = K rows. Pixels of a row inside one cell are
+    summed along the columns first, for all pairs of the cell's four columns of knots.
     """
     h = table.shape[0]
     mean, ym, ys, xm, xs = scale[0], scale[1], scale[2], scale[3], scale[4]
-    w = np.empty(16)
-    at = np.empty(16, np.int64)
-    L = np.empty(6)
+    L, light = np.empty(6), np.empty((4, 2, 6))
+    squares = np.empty((4, 4, 3))
     for s in range(row.size):
         r = row[s]
         cr = (r - lead) // h
-        fr = r - lead - cr * h
-        for c in range(first[s], stop[s]):
-            o = start[s] + c - first[s]
+        w = table[r - lead - cr * h]
+        c = first[s]
+        while c < stop[s]:
             cc = (c - lead) // h
-            fc = c - lead - cc * h
-            y, x = np.float64(gr[o]), np.float64(gc[o])
-            for b in range(4):
-                for a in range(4):
-                    w[4 * b + a] = table[fr, a] * table[fc, b]
-                    at[4 * b + a] = 2 * ((cc + b) * knots + cr + a)
-            d = np.float64(f[o] - mean)
-            ly, lx = (r - ym) * ys, (c - xm) * xs
-            L[0], L[1], L[2], L[3], L[4], L[5] = -d, -d * ly, -d * lx, -1.0, -ly, -lx
-            for i in range(16):
-                n = at[i]
-                for j in range(i + 1):
-                    m = at[j]
-                    q = w[i] * w[j]
-                    band[n - m, m] += q * y * y
-                    band[n - m, m + 1] += q * x * x
-                    band[n + 1 - m, m] += q * x * y
-                    if i != j:
-                        band[n - m - 1, m + 1] += q * y * x
+            end = min(lead + (cc + 1) * h, stop[s])
+            squares[:] = 0
+            light[:] = 0
+            for q in range(c, end):
+                o = start[s] + q - first[s]
+                v = table[q - lead - cc * h]
+                y, x = np.float64(gr[o]), np.float64(gc[o])
+                d = np.float64(f[o] - mean)
+                ly, lx = (r - ym) * ys, (q - xm) * xs
+                L[0], L[1], L[2], L[3], L[4], L[5] = -d, -d * ly, -d * lx, -1.0, -ly, -lx
+                for b in range(4):
+                    for a in range(b + 1):
+                        both = v[a] * v[b]
+                        squares[b, a, 0] += both * y * y
+                        squares[b, a, 1] += both * y * x
+                        squares[b, a, 2] += both * x * x
+                    for t in range(6):
+                        light[b, 0, t] += v[b] * y * L[t]
+                        light[b, 1, t] += v[b] * x * L[t]
                 for t in range(6):
-                    border[n, t] += w[i] * y * L[t]
-                    border[n + 1, t] += w[i] * x * L[t]
-            for t in range(6):
-                for u in range(6):
-                    small[t, u] += L[t] * L[u]
+                    for u in range(6):
+                        small[t, u] += L[t] * L[u]
+            for b in range(4):
+                for i in range(4):
+                    n = 2 * ((cc + b) * knots + cr + i)
+                    for t in range(6):
+                        border[n, t] += w[i] * light[b, 0, t]
+                        border[n + 1, t] += w[i] * light[b, 1, t]
+                    for a in range(b + 1):
+                        yy, yx, xx = squares[b, a, 0], squares[b, a, 1], squares[b, a, 2]
+                        for j in range(4 if a < b else i + 1):
+                            m = 2 * ((cc + a) * knots + cr + j)
+                            both = w[i] * w[j]
+                            band[n - m, m] += both * yy
+                            band[n - m, m + 1] += both * xx
+                            band[n + 1 - m, m] += both * yx
+                            if n > m:
+                                band[n - m - 1, m + 1] += both * yx
+            c = end
