@@ -46,6 +46,20 @@ def test_pull_back_samples_the_quintic_spline_at_displaced_pixels(picture, mask)
     np.testing.assert_allclose(out, exact, atol=2e-4)
 
 
+def test_places_are_kept_inside_the_picture(picture):
+    rows, cols = picture.shape
+    whole = np.ones(picture.shape, bool)
+    knots = Knots(whole, 0, 12)
+    far = np.full(knots.shape, 50, np.float32)
+    for p in (0 * far, far, -far):
+        out = np.empty(knots.runs.count, np.float32)
+        bspline.pull_back(coefficients(picture), *knots.runs.arrays, knots.table, 0, p, out)
+        places = np.argwhere(whole) + p[:, 0, 0]
+        places = np.clip(places, 2, [rows - 5, cols - 4])
+        exact = ndimage.map_coordinates(picture.astype(float), places.T, order=5, mode="mirror")
+        np.testing.assert_allclose(out, exact, atol=2e-4)
+
+
 def test_slopes_are_the_splines_derivatives(picture, mask):
     runs = Runs.of(mask)
     gr, gc = np.empty(runs.count, np.float32), np.empty(runs.count, np.float32)
@@ -107,6 +121,19 @@ def test_fit_recovers_a_known_displacement_and_brightness(picture, mask):
     assert np.sqrt(((found - exact) ** 2).mean()) < 0.005
     assert fit.bright[0] == pytest.approx(0.1, abs=0.01)
     assert fit.rms < 0.01
+
+
+def test_fit_ends_within_its_tolerance(picture, mask):
+    knots = Knots(mask, 24, 12)
+    template = Template(knots, coefficients(picture))
+    noise = np.random.default_rng(6).normal(0, 0.05, picture.shape)
+    moved = coefficients(np.asarray(ndimage.shift(picture, (0.6, -0.4), order=5, mode="mirror") + noise, np.float32))
+    start = [np.zeros(knots.shape, np.float32)]
+    tight = template.fit([moved], start, [np.zeros(6)], 60, 1e-6)[0]
+    loose = template.fit([moved], start, [np.zeros(6)], 60, 3e-3)[0]
+    points = np.argwhere(mask)[::20].astype(float)
+    assert loose.iterations < tight.iterations
+    assert np.abs(knots.basis(points) @ (loose.p - tight.p).reshape(2, -1).T).max() < 3e-3
 
 
 def test_several_pictures_at_once_give_the_same_as_one_by_one(picture, mask):

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 COUNT = 32
 """Draws; a standard error from them is known to 12 %."""
 SEED = 1729
+PROBES = 16
+"""Random vectors that estimate the trace of a matrix (M. Hutchinson, Commun. Stat. Simul. 18, 1989)."""
 GAIN_SHARE, MODEL_SHARE, MODEL_PX = 0.002, 0.003, 0.0007
 """What interpolation and knots cost: as a share of all motion, of the motion at a place, and at the motion's peak."""
 
@@ -116,7 +118,10 @@ def draw_errors(unknowns: Floats, modes: Modes, template: Template, rng: np.rand
         pattern[:, 1] += (MODEL_PX / np.abs(modes.course[:, 0]).max()) * _smooth(rng, (count, *template.knots.shape))
     mode = np.zeros((parts, size))
     mode[1:] = (modes.course.T @ centred) / modes.strength[:, None]
-    jitter = modes.noise * rng.standard_normal((count, frames, parts))
+    # Noise has its full size only in directions that the picture decides, not in those left to the bending energy.
+    probe = rng.choice([-1.0, 1.0], (size, PROBES))
+    decided = size - float((probe * template.solve(template.penalty @ probe)).sum()) / PROBES
+    jitter = modes.noise * np.sqrt(size / max(decided, 1.0)) * rng.standard_normal((count, frames, parts))
     jitter -= course @ (course.T @ jitter)
     jitter[:, :, 0] = 0.0
     return StretchDraws(course, pattern, jitter, grid(mode))
