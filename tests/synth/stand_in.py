@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from microbundle.contraction import rest_weights
 from microbundle.data import Beats
 from microbundle.synth.render import SyntheticMovie
 from microbundle.synth.scores import REST_SAMPLE
@@ -56,11 +57,6 @@ class StandIn:
         u = np.stack([truth.displacement_px(X, t) for t in range(self.frame_count)])
         out = self.change(u - u[relaxed].mean(axis=0))
         if relative_to == "beat" and len(self.beats):
-            own = []
-            for b in range(len(self.beats)):
-                peak = self.beats.peak
-                first = peak[b - 1] if b else 0
-                last = peak[b + 1] if b + 1 < len(peak) else self.frame_count
-                own.append(out[first:last][self.beats.relaxed[first:last]].mean(axis=0))
-            out = out - np.array(own)[self.beats.nearest_beat]
+            own = np.tensordot(rest_weights(self.beats.relaxed, self.beats.peak), out, 1)
+            out = out - own[self.beats.nearest_beat]
         return out
