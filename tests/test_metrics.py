@@ -10,8 +10,9 @@ from microbundle.axis import measure_axis
 from microbundle.beats import find_beats
 from microbundle.config import Config
 from microbundle.data import Grid, Markers, Masks, Movie, Tracks
-from microbundle.dictionary import IDENTITY, METRICS, column
-from microbundle.metrics import beat_signal, parabola_peak, synchrony, tables
+from microbundle.dictionary import IDENTITY, METRICS, columns
+from microbundle.metrics import tables
+from microbundle.numbers import beat_signal, synchrony
 from microbundle.strain import measure_strain
 
 PERIOD, WIDTH, SHORTENING = 24.5, 12.0, 0.04
@@ -52,37 +53,45 @@ def strip() -> Analysis:
     return measured()
 
 
-def columns(analysis: Analysis) -> set[str]:
+@pytest.fixture(scope="module")
+def full_analysis(tissue_analysis) -> Analysis:
+    """A result with every setting that adds a metric."""
+    settings = {"metrics": {"levels_pct": tuple(range(10, 100, 10)), "pacing_hz": 1.25, "fibre_deg": 10.0}}
+    return replace(tissue_analysis, config=Config.from_dict(settings))
+
+
+def written(analysis: Analysis) -> set[str]:
     found = tables(analysis)
     names = {name for key, table in found.items() if key != "summary" for name in table.columns}
     return names | set(found["summary"]["metric"])
 
 
-def known(calibrated: bool) -> set[str]:
-    return {column(m, calibrated) for m in METRICS} | errors(calibrated) | set(IDENTITY)
+def known(um_per_px: float | None, s_per_frame: float | None) -> set[str]:
+    """Columns that the dictionary has for a calibration."""
+    names = {name for m in METRICS for name, _ in columns(m, um_per_px, s_per_frame)}
+    return names | errors(um_per_px, s_per_frame) | set(IDENTITY)
 
 
-def errors(calibrated: bool) -> set[str]:
-    return {column(m, calibrated, error=True) for m in METRICS if m.has_error and m.level != "movie"}
+def errors(um_per_px: float | None, s_per_frame: float | None) -> set[str]:
+    return {name for m in METRICS if m.error and m.level != "movie"
+            for name, _ in columns(m, um_per_px, s_per_frame, error=True)}
 
 
 @pytest.mark.parametrize("calibration", [(30.0, 4.0), (None, None), (30.0, None), (None, 4.0)])
 def test_every_column_is_in_the_dictionary(calibration):
-    names = columns(measured(fps=calibration[0], um_per_px=calibration[1]))
-    assert names <= known(True) | known(False)
+    fps, um_per_px = calibration
+    assert written(measured(fps=fps, um_per_px=um_per_px)) <= known(um_per_px, None if fps is None else 1 / fps)
 
 
-def test_every_entry_of_the_dictionary_is_written(tissue_analysis):
-    assert known(True) - columns(tissue_analysis) == set()
-    minutes = [m for m in METRICS if m.kind == "rate_per_min"]  # which has the name of the rate where there is no unit
-    bare = known(False) - {column(m, False, error=error) for m in minutes for error in (False, True)}
-    bare.remove("time_frames")  # that is the column `frame`
-    assert bare - columns(replace(tissue_analysis, time_s=None, um_per_px=None)) == set()
+def test_every_entry_of_the_dictionary_is_written(full_analysis):
+    assert known(4.0, 1 / 30) - written(full_analysis) == set()
+    bare = known(None, None) - {"time_frames", "missed_beats", "extra_beats"}  # a pacing rate needs known times
+    assert bare - written(replace(full_analysis, time_s=None, um_per_px=None)) == set()
 
 
 def test_a_result_that_does_not_know_its_errors_has_no_columns_for_them(strip):
-    assert columns(strip) & errors(True) == set()
-    assert "mean_absolute_displacement_corrected_um" not in columns(strip)
+    assert written(strip) & errors(4.0, 1 / 30) == set()
+    assert "mean_absolute_displacement_corrected_um" not in written(strip)
     assert tables(strip)["summary"]["se"].isna().all()
 
 
@@ -91,7 +100,7 @@ def test_summary_has_the_promised_statistics(strip):
 
 
 def test_entries_are_unique_and_say_what_they_are():
-    assert len({column(m, True) for m in METRICS}) == len(METRICS)
+    assert len({name for m in METRICS for name, _ in columns(m, None, 1.0)}) == len(METRICS)
     assert all(m.definition.endswith(".") for m in METRICS)
 
 
@@ -129,7 +138,7 @@ def test_strain_of_a_known_shortening(strip):
 
 
 def test_without_calibration_lengths_are_px_and_times_frames():
-    names = columns(measured(fps=None, um_per_px=None))
+    names = written(measured(fps=None, um_per_px=None))
     assert not [name for name in names if name.endswith(("_um", "_um2", "_s", "_hz", "_bpm"))]
     beats = tables(measured(fps=None, um_per_px=None))["beats"]
     np.testing.assert_allclose(beats["beat_period_frames"][:-1], PERIOD, rtol=2e-3)
@@ -209,13 +218,6 @@ def test_signal_is_taken_from_each_beats_own_rest(strip):
     moved, plain = (tables(a)["beats"]["amplitude_px"].mean() for a in (analysis, strip))
     assert moved == pytest.approx(plain, rel=0.15)
     assert beat_signal(analysis).max() < 1.3 * beat_signal(strip).max()
-
-
-def test_parabola_finds_a_peak_between_frames():
-    t = np.arange(9.0)
-    assert parabola_peak(-((t - 4.3) ** 2), 4) == pytest.approx(4.3)
-    assert parabola_peak(t, 8) == 8
-    assert parabola_peak(np.zeros(9), 4) == 4
 
 
 def test_synchrony_tells_together_from_delayed():

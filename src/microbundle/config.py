@@ -10,7 +10,7 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from annotated_types import Ge, Gt, Le, Lt
+from annotated_types import Ge, Gt, Le, Lt, MultipleOf
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator, model_validator
 
 from .errors import ConfigError
@@ -68,6 +68,14 @@ class MaskParams(Params):
     """Frame that `otsu` and `sobel` look at."""
     min_stability: Annotated[float, Ge(0), Le(1)] = 0.8
     """Below this overlap between slightly different masks, an automatic mask gets a finding."""
+
+
+class PillarParams(Params):
+    """How the pillars are found."""
+
+    masks: Literal["auto", "supplied", "none"] = "auto"
+    """`auto` takes the pillar masks that came with the movie, or else looks for the pillars by itself; `supplied` takes
+    only masks that came with the movie; `none` leaves the pillars out."""
 
 
 class MarkerParams(Params):
@@ -153,6 +161,19 @@ class StrainParams(Params):
         return self
 
 
+class MetricParams(Params):
+    """How beats are measured."""
+
+    levels_pct: tuple[Annotated[int, Ge(10), Le(90), MultipleOf(10)], ...] = (10, 50, 90)
+    """Contraction durations to write: cd50 is the width of a beat after 50 % of the relaxation."""
+    velocity_s: Annotated[float, Ge(0)] = 0.0
+    """Time over which a velocity is taken, in seconds; never less than the time between two frames."""
+    pacing_hz: Annotated[float, Gt(0)] | None = None
+    """Rate of the stimulation, where there is one: missed and extra beats are counted against it."""
+    fibre_deg: Annotated[float, Ge(-180), Le(180)] | None = None
+    """Direction of the fibres from the tissue's axis, clockwise: strain along them is written too."""
+
+
 class Config(Params):
     """All settings of an analysis."""
 
@@ -169,6 +190,8 @@ class Config(Params):
     """What is done to the frames before anything else."""
     mask: MaskParams = MaskParams()
     """How the tissue is found."""
+    pillars: PillarParams = PillarParams()
+    """How the pillars are found."""
     markers: MarkerParams = MarkerParams()
     """Which points are followed."""
     tracking: TrackingParams = TrackingParams()
@@ -181,6 +204,8 @@ class Config(Params):
     """The grid on which displacement is interpolated."""
     strain: StrainParams = StrainParams()
     """How the tissue is divided for strain."""
+    metrics: MetricParams = MetricParams()
+    """How beats are measured."""
 
     @field_validator("method")
     @classmethod

@@ -17,7 +17,7 @@ from .data import Floats
 from .errors import CalibrationMissing
 from .folder import write_whole
 from .geometry import rescale, to_tissue
-from .metrics import beat_signal
+from .numbers import beat_signal
 from .published import paper_frame, paper_width
 
 KIND = "files in the paper's layout"

@@ -15,7 +15,8 @@ from scipy.special import stdtrit
 from ..analysis import Analysis
 from ..data import Floats
 from ..draws import COUNT
-from ..metrics import beat_signal, beat_values, tables
+from ..metrics import tables
+from ..numbers import beat_signal, beat_values
 from ..uncertainty import displacement_error_at, standard_errors
 from .render import SyntheticMovie
 from .scores import Comparison, analysis_rest, true_displacement, true_rest
@@ -58,7 +59,7 @@ def _of_beats(synthetic: SyntheticMovie, analysis: Analysis, c: Comparison) -> d
     found = tables(replace(analysis, um_per_px=None, time_s=None))["beats"]
     out = {}
     for name, key, unit in (("amplitude", "amplitude", "px"), ("period", "beat_period", "frames")):
-        error = [(found[f"{key}_{unit}"][a] - values[a][key]) / found[f"{key}_se_{unit}"][a] for _, a in c.pairs]
+        error = [(found[f"{key}_{unit}"][a] - values[key][a]) / found[f"{key}_se_{unit}"][a] for _, a in c.pairs]
         out[name] = np.array(error, float)
     return out
 

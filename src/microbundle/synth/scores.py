@@ -25,8 +25,8 @@ from ..analysis import Analysis
 from ..contraction import rest_weights
 from ..data import Floats, Ints, known
 from ..geometry import rotation
-from ..metrics import parabola_peak
 from ..strain import fit_gradient
+from ..waveform import vertex
 from .render import SyntheticMovie, Truth
 from .scenes import Domain
 from .truth import TrueBeats, true_beats
@@ -265,7 +265,9 @@ def true_rest(u: Floats, beats: TrueBeats, analysis: Analysis, beat: int, found:
 
 def _peaks(signal: Floats, frames: Ints) -> Floats:
     """Place peaks (B,) between frames."""
-    return np.array([np.clip(parabola_peak(signal, int(p)), p - 1, p + 1) for p in frames])
+    inside = np.clip(frames, 1, len(signal) - 2)
+    away = np.clip(vertex(signal[inside - 1], signal[inside], signal[inside + 1]), -1, 1)
+    return np.where(inside == frames, frames + away, frames)
 
 
 def _periods(true: Floats, found: Floats, pairs: Ints) -> tuple[float, float]:
