@@ -33,11 +33,13 @@ if TYPE_CHECKING:
     from .pipeline import analyze
     from .read import read_movie
     from .store import load, save
+    from .subsets import follow_body, follow_points
     from .uncertainty import alternatives, displacement_error_at, standard_errors
 
 _HOME = {
     "Analysis": "analysis", "Config": "config", "Movie": "data", "analyze": "pipeline", "export_paper": "paper_layout",
     "load": "store", "read_mask": "mask_files", "read_movie": "read", "save": "store", "tables": "metrics",
+    **dict.fromkeys(("follow_body", "follow_points"), "subsets"),
     **dict.fromkeys(("alternatives", "displacement_error_at", "standard_errors"), "uncertainty"),
     **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ConfigError", "MaskUnusable", "MicrobundleError",
                      "MovieUnreadable", "NoTexture", "NoTissue", "OutputError", "ResultUnreadable"), "errors"),
@@ -63,6 +65,8 @@ __all__ = [
     "analyze",
     "displacement_error_at",
     "export_paper",
+    "follow_body",
+    "follow_points",
     "load",
     "read_mask",
     "read_movie",

@@ -196,10 +196,14 @@ class Tracks:
     faintest_px: float = float("nan")
     """Mean displacement at the peak of the faintest beats that stand out of the noise, where the method knows it."""
     findings: tuple[Finding, ...] = ()
+    position_se_px: Floats | None = None
+    """(T, N, 2): standard error of the way from the reference frame, for the method `subsets`; NaN where lost."""
 
     def __post_init__(self) -> None:
         _expect("position_px", self.position_px, (None, None, 2))
         _expect("ok", self.ok, self.position_px.shape[:2])
+        if self.position_se_px is not None:
+            _expect("position_se_px", self.position_se_px, self.position_px.shape)
 
     @property
     def kept(self) -> Bools:
@@ -210,6 +214,37 @@ class Tracks:
     def lost_fraction(self) -> float:
         """Share of marker-frames that were lost."""
         return float(1.0 - self.ok.mean())
+
+
+@dataclass(frozen=True)
+class BodyMotion:
+    """How one rigid body, such as a pillar's head, moves from the reference frame; NaN in frames without it."""
+
+    translation_px: Floats
+    """(T, 2): of the centre of the body's mask."""
+    rotation_deg: Floats
+    """(T,): about that centre, positive clockwise on the screen; NaN where only translation was measured."""
+    translation_se_px: Floats
+    """(T, 2): standard errors, of which the noise of the reference frame is common to all frames."""
+    rotation_se_deg: Floats
+    """(T,)"""
+    residual: Floats
+    """(T,): what the body's picture leaves unexplained of each frame, in standard deviations of its grey values."""
+    ok: Bools
+    """(T,): False where the body was not found."""
+    center_px: Floats
+    """(2,): centre of the mask in the reference frame."""
+    reference_frame: int
+    model: str
+    """`rigid` or `translation`."""
+
+    def __post_init__(self) -> None:
+        t = len(self.ok)
+        for name in ("translation_px", "translation_se_px"):
+            _expect(name, getattr(self, name), (t, 2))
+        for name in ("rotation_deg", "rotation_se_deg", "residual"):
+            _expect(name, getattr(self, name), (t,))
+        _expect("center_px", self.center_px, (2,))
 
 
 @dataclass(frozen=True)
