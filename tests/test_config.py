@@ -36,7 +36,7 @@ EXAMPLES: dict[str, Any] = {
     "mask.method": "sobel", "tracking.window_px": 31, "tracking.reference_frame": 3, "grid.method": "thin_plate",
     "grid.extrapolate": True, "registration.whiten": "never",
     "registration.threads": 1, "strain.tiles": [3, 5], "strain.extents_px": [10.0, 50.0, 10.0, 90.0],
-    "metrics.levels_pct": [20, 80], "metrics.pacing_hz": 1.5, "metrics.fibre_deg": -12.0,
+    "pillars.masks": "supplied", "metrics.levels_pct": [20, 80], "metrics.pacing_hz": 1.5, "metrics.fibre_deg": -12.0,
 }
 
 

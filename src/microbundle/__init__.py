@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         MaskUnusable,
         MicrobundleError,
         MovieUnreadable,
+        NoPillars,
         NoTexture,
         NoTissue,
         OutputError,
@@ -42,7 +43,8 @@ _HOME = {
     **dict.fromkeys(("follow_body", "follow_points"), "subsets"),
     **dict.fromkeys(("alternatives", "displacement_error_at", "standard_errors"), "uncertainty"),
     **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ConfigError", "MaskUnusable", "MicrobundleError",
-                     "MovieUnreadable", "NoTexture", "NoTissue", "OutputError", "ResultUnreadable"), "errors"),
+                     "MovieUnreadable", "NoPillars", "NoTexture", "NoTissue", "OutputError", "ResultUnreadable"),
+                    "errors"),
 }
 """Module of each public name; they are imported when first used, so that `import microbundle` is fast."""
 
@@ -56,6 +58,7 @@ __all__ = [
     "MicrobundleError",
     "Movie",
     "MovieUnreadable",
+    "NoPillars",
     "NoTexture",
     "NoTissue",
     "OutputError",

@@ -31,6 +31,9 @@ Image = NDArray[Any]
 Source = Literal["file", "user", "unknown"]
 """Where a calibration comes from."""
 
+PillarSource = Literal["supplied", "found", "mirrored"]
+"""Where a pillar's mask comes from."""
+
 Level = Literal["info", "review", "fail"]
 Verdict = Literal["pass", "review", "fail"]
 
@@ -151,6 +154,34 @@ class Masks:
     def __post_init__(self) -> None:
         if self.tissue.ndim != 2 or self.tissue.dtype != np.bool_:
             raise ValueError(f"tissue: expected a 2-D bool array, found {self.tissue.dtype} {self.tissue.shape}")
+
+
+@dataclass(frozen=True)
+class Pillars:
+    """Which pixels are pillars, in the order in which they stand along the tissue's axis. Letter in shapes: P."""
+
+    masks: tuple[Bools, ...]
+    """P masks, each (R, C)."""
+    names: tuple[str, ...]
+    """`1`, `2`, ...: along the axis, or the numbers of the supplied masks."""
+    center_px: Floats
+    """(P, 2): middle of each mask."""
+    source: tuple[PillarSource, ...]
+    """Whether each mask was supplied, found in the picture, or made as the mirror image of another."""
+    score: tuple[float | None, ...]
+    """Plausibility of each pillar that was found, 0 to 1; None for the others."""
+    findings: tuple[Finding, ...] = ()
+
+    def __post_init__(self) -> None:
+        p = len(self.masks)
+        _expect("center_px", self.center_px, (p, 2))
+        for name in ("names", "source", "score"):
+            _expect(name, getattr(self, name), (p,))
+        for mask in self.masks:
+            _expect("mask", mask, self.masks[0].shape)
+
+    def __len__(self) -> int:
+        return len(self.masks)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@
     |   +-- ResultUnreadable    4   a result file cannot be read
     +-- CannotMeasure           5   the movie was read, but what was asked cannot be measured on it
     |   +-- NoTissue            5   no tissue was found that a mask could be trusted on
+    |   +-- NoPillars           5   no pillar was found that a mask could be trusted on
     |   +-- NoTexture           5   the tissue shows too few points that can be followed
     |   +-- CalibrationMissing  5   a physical unit was asked for and the scale is not known
     +-- OutputError             6   the results cannot be written
@@ -49,6 +50,10 @@ class CannotMeasure(MicrobundleError):
 
 class NoTissue(CannotMeasure):
     """No region of the picture can be taken for the tissue."""
+
+
+class NoPillars(CannotMeasure):
+    """No part of the picture can be taken for a pillar, and no pillar mask came with the movie."""
 
 
 class NoTexture(CannotMeasure):

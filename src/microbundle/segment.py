@@ -16,6 +16,7 @@ import numpy as np
 
 from .axis import bend, fill_holes, largest_region, measure_axis
 from .data import Bools
+from .ramp import ramp
 from .threshold import otsu, otsu_cuts
 from .view import BRIGHTNESS_BLUR, KINDS, View, blurred, detail_strength, dilate, distance, erode, opened
 
@@ -190,20 +191,20 @@ class _Judge:
         area = cv2.moments(outline)
         if area["m00"] == 0:
             return 0.0
-        score = _ramp(area["m00"] / np.count_nonzero(self.view.seen), SIZE_RAMP)
+        score = ramp(area["m00"] / np.count_nonzero(self.view.seen), SIZE_RAMP)
         covariance = np.array([[area["mu20"], area["mu11"]], [area["mu11"], area["mu02"]]]) / area["m00"]
         small, large = np.linalg.eigvalsh(covariance)
-        score *= _ramp(float(np.sqrt(large / max(small, 1e-9))), ELONGATION_RAMP)
-        score *= _ramp(area["m00"] / max(cv2.contourArea(cv2.convexHull(outline)), 1.0), SOLIDITY_RAMP)
+        score *= ramp(float(np.sqrt(large / max(small, 1e-9))), ELONGATION_RAMP)
+        score *= ramp(area["m00"] / max(cv2.contourArea(cv2.convexHull(outline)), 1.0), SOLIDITY_RAMP)
         x, y = outline[:, 0].T
-        score *= _ramp(1.0 - float(self.inside[y, x].mean()), BORDER_RAMP)
+        score *= ramp(1.0 - float(self.inside[y, x].mean()), BORDER_RAMP)
         middle = np.array([area["m01"], area["m10"]]) / area["m00"]
-        score *= _ramp(float(np.hypot(*(middle - self.middle))) / (0.5 * min(region.shape)), OFFSET_RAMP)
+        score *= ramp(float(np.hypot(*(middle - self.middle))) / (0.5 * min(region.shape)), OFFSET_RAMP)
         if score <= to_beat:
             return 0.0
         body = cv2.drawContours(np.zeros(region.shape, np.uint8), [outline], -1, 1, cv2.FILLED).astype(bool)
-        score *= _ramp(np.count_nonzero(region) / np.count_nonzero(body), FILLED_RAMP)
-        score *= _ramp(bend(body), BEND_RAMP)
+        score *= ramp(np.count_nonzero(region) / np.count_nonzero(body), FILLED_RAMP)
+        score *= ramp(bend(body), BEND_RAMP)
         return score * self._contrast(region, body) if score > to_beat else 0.0
 
     def _contrast(self, region: Bools, body: Bools) -> float:
@@ -219,9 +220,4 @@ class _Judge:
             tissue, ground = feature[tissue_at], feature[ground_at]
             scatter = np.sqrt(0.5 * (tissue.var() + ground.var()))
             apart = max(apart, abs(float(tissue.mean() - ground.mean())) / max(float(scatter), 1e-9))
-        return _ramp(apart, CONTRAST_RAMP) * apart / (1.0 + apart)
-
-
-def _ramp(value: float, points: tuple[float, ...]) -> float:
-    rise = float(np.clip((value - points[0]) / (points[1] - points[0]), 0, 1))
-    return rise if len(points) == 2 else rise * float(np.clip((points[3] - value) / (points[3] - points[2]), 0, 1))
+        return ramp(apart, CONTRAST_RAMP) * apart / (1.0 + apart)
