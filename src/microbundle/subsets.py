@@ -2,7 +2,7 @@
 
 Every frame is compared with one reference frame, so errors do not add up. The search for the square around a point, or
 for the pixels of a body (`patches`), starts from where the last two frames point to, and where that fails or fits
-badly once more from pyramidal Lucas-Kanade.
+badly once more from pyramidal Lucas-Kanade, and from what the others do.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from scipy import ndimage
 
 from .bspline import Float32
 from .data import BodyMotion, Bools, Floats, Image, Movie, Tracks
+from .data import known as known_points
 from .errors import CannotMeasure, ConfigError, MaskUnusable, NoTexture
 from .patches import FEWEST_PIXELS, MARGIN_PX, Found, Mean, Noise, Part, Patches, box
 
@@ -68,7 +69,7 @@ def follow_points(movie: Movie, points_px: ArrayLike, *, half_width_px: int = 10
     se = noise.standard_error(variance, (0, 1)) * patches.noisy_slopes(_usual(variance, ok) / 2)
     ok &= se.max(axis=-1) <= max_error_px
     position[~ok], se[~ok] = np.nan, np.nan
-    return Tracks(position, ok, "patchs", reference_frame, 2 * int(half_width_px) + 1, position_se_px=se)
+    return Tracks(position, ok, "subsets", reference_frame, 2 * int(half_width_px) + 1, position_se_px=se)
 
 
 def follow_body(movie: Movie, mask: Bools, *, reference_frame: int = 0,
@@ -126,10 +127,11 @@ def _frames(movie: Movie, patches: Patches, reference: int, anchors: Floats,
             known: Floats | None = None) -> Iterator[tuple[int, Part, Found]]:
     """Find all patches in every frame, from the reference to both ends; from the warps (T, N, 2, 3), where known.
 
-    Where a search fails it starts again where Lucas-Kanade has found the patch's anchors (N, M, 2).
+    Where a search fails it starts again where Lucas-Kanade has found the patch's anchors (N, M, 2), and then from the
+    motion that the others share.
     """
     still = np.tile(STILL, (len(patches.center), 1, 1))
-    grey, least = _Grey(patches), np.full(len(still), np.inf)
+    restart, least = _Restart(patches, anchors), np.full(len(still), np.inf)
     for order in (range(reference, movie.count), range(reference - 1, -1, -1)):
         last, pace = still, np.zeros((len(still), 2, 1))
         for t in order:
@@ -140,15 +142,14 @@ def _frames(movie: Movie, patches: Patches, reference: int, anchors: Floats,
             part = Part.of(frame, patches, start)
             found = patches.find(part, start, patches.good)
             trusted = DOUBT * np.where(np.isfinite(least), least, LEAST_DOUBT)
-            missed = patches.good & ~(found.ok & (1 - found.match <= trusted))
-            if missed.any():
-                again = still.copy()
-                again[:, :, 2] = grey.leap(frame, anchors, missed)
-                missed &= np.isfinite(again[:, :, 2]).all(axis=1)
-                again[~missed] = start[~missed]
+            for way in (restart.shift, _common_shift):
+                sure = found.ok & (1 - found.match <= trusted)
+                again = np.where((patches.good & ~sure)[:, None], way(frame, found, sure), np.nan)
+                missed = known_points(again)
                 if missed.any():
-                    part = Part.of(frame, patches, again)
-                    found = _either(found, patches.find(part, again, missed))
+                    begin = np.where(missed[:, None, None], np.dstack([still[:, :, :2], again]), start)
+                    part = Part.of(frame, patches, begin)
+                    found = _either(found, patches.find(part, begin, missed))
             if t != reference:
                 least = np.where(found.ok, np.minimum(np.maximum(1 - found.match, LEAST_DOUBT), least), least)
             yield t, part, found
@@ -158,31 +159,39 @@ def _frames(movie: Movie, patches: Patches, reference: int, anchors: Floats,
                 last = np.where(seen, found.warp, last)
 
 
-class _Grey:
-    """Pyramidal Lucas-Kanade from the reference frame, for patches that were lost. It takes 8 bits."""
+class _Restart:
+    """Pyramidal Lucas-Kanade from the reference frame."""
 
-    def __init__(self, patches: Patches) -> None:
-        seen = patches.f[patches.use]
-        low, high = np.percentile(seen, GLARE_PERCENT) if len(seen) else (0.0, 1.0)
-        self.low, self.scale = low, 255 / max(high - low, 1e-12)
-        self.first = self(patches.picture)
+    def __init__(self, patches: Patches, anchors: Floats) -> None:
+        self.first, self.good, self.anchors = _eight_bits(patches.picture), patches.good, anchors
         self.window = min(max(patches.f.shape[1:]), MOST_WINDOW_PX)
 
-    def __call__(self, frame: Image) -> Image:
-        return np.clip((frame - self.low) * self.scale, 0, 255).astype(np.uint8)
-
-    def leap(self, frame: Image, anchors: Floats, chosen: Bools) -> Floats:
-        """Median shift (N, 2) of the anchors (N, M, 2) of the chosen patches, NaN where none was found."""
-        begin = np.ascontiguousarray(anchors[chosen].reshape(-1, 2)[:, ::-1], np.float32)
-        end, status, _ = cv2.calcOpticalFlowPyrLK(self.first, self(frame), begin, begin.copy(), maxLevel=PYRAMID,
+    def shift(self, frame: Image, _found: Found, sure: Bools) -> Floats:
+        """Median shift (N, 2) of each patch's anchors (N, M, 2), NaN where it is sure already or none is found."""
+        out = np.full((len(sure), 2), np.nan)
+        chosen = np.flatnonzero(self.good & ~sure)
+        if not len(chosen):
+            return out
+        begin = np.ascontiguousarray(self.anchors[chosen].reshape(-1, 2)[:, ::-1], np.float32)
+        end, status, _ = cv2.calcOpticalFlowPyrLK(self.first, _eight_bits(frame), begin, begin.copy(), maxLevel=PYRAMID,
                                                   winSize=(self.window, self.window))
-        moved = np.where(status > 0, end - begin, np.nan)[:, ::-1].reshape(-1, anchors.shape[1], 2)
-        out = np.full((len(chosen), 2), np.nan)
-        for i, shifts in zip(np.flatnonzero(chosen), moved, strict=True):
-            known = shifts[np.isfinite(shifts).all(axis=1)]
+        moved = np.where(status > 0, end - begin, np.nan)[:, ::-1].reshape(len(chosen), -1, 2)
+        for i, shifts in zip(chosen, moved, strict=True):
+            known = shifts[known_points(shifts)]
             if len(known):
                 out[i] = np.median(known, axis=0)
         return out
+
+
+def _common_shift(_frame: Image, found: Found, sure: Bools) -> Floats:
+    """Median shift (N, 2) of the patches that are surely found, NaN where there are none."""
+    return np.broadcast_to(np.median(found.warp[sure, :, 2], axis=0) if sure.any() else np.nan, (len(sure), 2))
+
+
+def _eight_bits(frame: Image) -> Image:
+    """A frame scaled by its own range of grey values, whatever the light."""
+    low, high = np.percentile(frame[::4, ::4], GLARE_PERCENT)
+    return np.asarray(np.clip((frame - low) * (255 / max(high - low, 1e-12)), 0, 255), np.uint8)
 
 
 def _either(first: Found, second: Found) -> Found:
@@ -247,5 +256,5 @@ def _checked_points(points_px: ArrayLike) -> Floats:
 
 def _anchors(patches: Patches, usable: Bools) -> Floats:
     """Strong points (1, M, 2) of a body, its centre where there are none."""
-    corners = cv2.goodFeaturesToTrack(_Grey(patches).first, ANCHORS, 0.01, 5, mask=usable.astype(np.uint8))
+    corners = cv2.goodFeaturesToTrack(_eight_bits(patches.picture), ANCHORS, 0.01, 5, mask=usable.astype(np.uint8))
     return patches.center[None] if corners is None else corners[None, :, 0, ::-1].astype(float)
