@@ -58,6 +58,8 @@ def flags(name: str, value: Any) -> list[str]:
         return [flag]
     if isinstance(value, list) and isinstance(value[0], list):
         return [part for row in value for part in (flag, str(row).replace(" ", ""))]
+    if name == "metrics.levels_pct":  # any number of values: the flag once for each
+        return [part for one in value for part in (flag, str(one))]
     return [flag, *map(str, value if isinstance(value, list) else [value])]
 
 

@@ -9,7 +9,20 @@ from typing import Literal
 import numpy as np
 
 from .config import Config
-from .data import Beats, Finding, Floats, Grid, Image, Markers, Masks, Source, Strain, Tracks, Verdict
+from .data import (
+    Beats,
+    Finding,
+    Floats,
+    Grid,
+    Image,
+    Markers,
+    Masks,
+    PillarMotion,
+    Source,
+    Strain,
+    Tracks,
+    Verdict,
+)
 from .field import checked_points, inside_tissue, interpolate
 from .geometry import to_tissue
 
@@ -46,6 +59,8 @@ class Analysis:
     stage_px: Floats | None = None
     """(T, 2): shift of the background against the reference frame, or None where it does not show. Longer movies are
     looked at in 40 frames, with straight lines between them."""
+    pillars: PillarMotion | None = None
+    """How the pillars move, or None where there are none, or none that can be told (a finding says why)."""
 
     @property
     def frame_count(self) -> int:
@@ -56,7 +71,7 @@ class Analysis:
     def findings(self) -> tuple[Finding, ...]:
         """Everything a reader should know, of all stages."""
         return (*self.movie_findings, *self.masks.findings, *self.markers.findings, *self.tracks.findings,
-                *self.beats.findings)
+                *self.beats.findings, *(() if self.pillars is None else self.pillars.findings))
 
     @property
     def verdict(self) -> Verdict:

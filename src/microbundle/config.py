@@ -71,11 +71,45 @@ class MaskParams(Params):
 
 
 class PillarParams(Params):
-    """How the pillars are found."""
+    """How the pillars are found, and how stiff they are."""
 
     masks: Literal["auto", "supplied", "none"] = "auto"
     """`auto` takes the pillar masks that came with the movie, or else looks for the pillars by itself; `supplied` takes
     only masks that came with the movie; `none` leaves the pillars out."""
+    stiffness_un_per_um: Annotated[float, Gt(0)] | None = None
+    """Stiffness of a pillar where the tissue pulls, in uN/um; without it, from the geometry below where that is
+    given."""
+    stiffness_error_pct: Annotated[float, Ge(0)] | None = None
+    """Standard error of the stiffness in percent, for the budget of errors."""
+    profile: Literal["rectangle", "circle"] = "rectangle"
+    """Cross-section of a pillar: its width and thickness are asked for, or its diameter."""
+    modulus_mpa: Annotated[float, Gt(0)] | None = None
+    """Young's modulus of the pillars, in MPa."""
+    width_um: Annotated[float, Gt(0)] | None = None
+    """Side of a rectangular pillar across the direction in which it bends."""
+    thickness_um: Annotated[float, Gt(0)] | None = None
+    """Side of a rectangular pillar in the direction in which it bends."""
+    diameter_um: Annotated[float, Gt(0)] | None = None
+    """Diameter of a round pillar."""
+    length_um: Annotated[float, Gt(0)] | None = None
+    """Height of a pillar above its base."""
+    force_height_um: Annotated[float, Gt(0)] | None = None
+    """Height at which the tissue pulls; by default the pillar's own."""
+    unloaded_px: tuple[tuple[float, float], ...] | None = None
+    """Where the centre of each pillar's mask lies without tissue (row, col), one for each pillar: gives the resting
+    force."""
+    depth_um: Annotated[float, Gt(0)] | None = None
+    """Thickness of the tissue along the line of sight: gives the stress."""
+    depth_error_pct: Annotated[float, Ge(0)] | None = None
+    """Standard error of the depth in percent, for the budget of errors."""
+    um_per_px_error_pct: Annotated[float, Ge(0)] | None = None
+    """Standard error of the pixel size in percent, for the budget of errors."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.length_um is not None and (self.force_height_um or 0) > self.length_um:
+            raise ValueError(f"force_height_um {self.force_height_um} must not exceed length_um {self.length_um}")
+        return self
 
 
 class MarkerParams(Params):
@@ -165,7 +199,8 @@ class MetricParams(Params):
     """How beats are measured."""
 
     levels_pct: tuple[Annotated[int, Ge(10), Le(90), MultipleOf(10)], ...] = (10, 50, 90)
-    """Contraction durations to write: cd50 is the width of a beat after 50 % of the relaxation."""
+    """Contraction durations to write, in steps of 10: cd50 is the width of a beat after 50 % of the relaxation (as a
+    flag: once for each)."""
     velocity_s: Annotated[float, Ge(0)] = 0.0
     """Time over which a velocity is taken, in seconds; never less than the time between two frames."""
     pacing_hz: Annotated[float, Gt(0)] | None = None

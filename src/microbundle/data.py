@@ -279,6 +279,27 @@ class BodyMotion:
 
 
 @dataclass(frozen=True)
+class PillarMotion:
+    """How the pillars move; T frames, P pillars."""
+
+    pillars: Pillars
+    shift_px: Floats
+    """(T, P, 2): movement of each pillar from the reference frame, NaN where it was not found."""
+    shift_se_px: Floats
+    """(T, P, 2): its standard error, NaN where the method does not know it."""
+    rotation_deg: Floats
+    """(T, P): rotation of each head in the picture, clockwise; a head that only bends over hardly rotates."""
+    method: str
+    findings: tuple[Finding, ...] = ()
+
+    def __post_init__(self) -> None:
+        p = len(self.pillars)
+        _expect("shift_px", self.shift_px, (None, p, 2))
+        _expect("shift_se_px", self.shift_se_px, self.shift_px.shape)
+        _expect("rotation_deg", self.rotation_deg, self.shift_px.shape[:2])
+
+
+@dataclass(frozen=True)
 class Beats:
     """The movie cut into beats, each with a relaxed state of its own."""
 

@@ -171,6 +171,15 @@ METRICS: tuple[Metric, ...] = (
            "of all."),
     Metric("synchrony_correlation_null", NUMBER, "beat", "Value of synchrony_correlation for traces shifted in time at "
            "random (mean of 200).", error=False),
+    Metric("twitch_force", FORCE, "beat", "Mean over the pillars of force_amplitude.", "active force, twitch force"),
+    Metric("imbalance", NUMBER, "beat", "(F1 - F2) / (F1 + F2) of the two pillars' force_amplitude."),
+    Metric("stress_rectangle", STRESS, "beat", "twitch_force over the section width x depth: the tissue_width and "
+           "`pillars.depth_um`.", "contractile stress (in MPa by the published pillar tool)"),
+    Metric("stress_ellipse", STRESS, "beat", "twitch_force over the section pi/4 x width x depth."),
+    Metric("force_shortening_loop", WORK, "beat", "Area of the loop of the mean force over the distance between the "
+           "tissue's ends; positive where the force is larger while the tissue shortens.", "work loop"),
+    Metric("force_strain_loop", FORCE, "beat", "Area of the loop of the mean force over the mean E_cc of all "
+           "sub-domains, with the same sign."),
     *_of_signal("shortening"),
     Metric("markers", NUMBER, "subdomain", "Markers in the sub-domain.", error=False),
     Metric("E_cc_extreme", NUMBER, "subdomain", "E_cc of largest size within the beat, with its sign."),
@@ -186,6 +195,32 @@ METRICS: tuple[Metric, ...] = (
            "`metrics.fibre_deg` from the col axis."),
     Metric("areal_strain", NUMBER, "subdomain", "det F - 1 at the beat's peak frame."),
     Metric("shear_max", NUMBER, "subdomain", "Largest shear (E_2 - E_1) / 2 at the beat's peak frame."),
+    Metric("deflection", LENGTH, "pillar", "Twitch deflection along the pillar's own motion: peak less relaxed."),
+    Metric("deflection_row", LENGTH, "pillar", "Its part along the image's rows, at the beat's peak frame."),
+    Metric("deflection_col", LENGTH, "pillar", "Its part along the image's columns, at the beat's peak frame."),
+    Metric("deflection_axis", LENGTH, "pillar", "Its part along the axis from pillar to pillar, positive towards the "
+           "other one, at the beat's peak frame."),
+    *_of_signal("pillar"),
+    Metric("force_absolute", FORCE, "pillar", "Length of the force's vector at the beat's peak frame."),
+    Metric("force_row", FORCE, "pillar", "Force along the image's rows at the beat's peak frame."),
+    Metric("force_col", FORCE, "pillar", "Force along the image's columns at the beat's peak frame."),
+    Metric("force_axis", FORCE, "pillar", "Force along the axis from pillar to pillar at the beat's peak frame."),
+    Metric("resting_force", FORCE, "pillar", "Force of the relaxed tissue, along the pillar's own motion, where the "
+           "unloaded position is given.", "passive tension"),
+    Metric("work", WORK, "pillar", "Work done on the pillar from rest to peak: k/2 (x_peak^2 - x_rest^2), x from the "
+           "unloaded position where it is given, else from rest."),
+    Metric("power", POWER, "pillar", "work / force_time_to_peak_from_onset."),
+    Metric("rotation", ANGLE, "pillar", "Rotation of the pillar's head in the picture at the beat's peak frame, "
+           "clockwise: a check, for a pillar that bends hardly rotates."),
+    Metric("pillar_drift", LENGTH, "pillar", "Movement of the pillar's relaxed position since the first beat."),
+    Metric("pillar_deflection", LENGTH, "pillar_frame", "Distance of the pillar from its relaxed position, without "
+           "drift.", error=False),
+    Metric("pillar_deflection_row", LENGTH, "pillar_frame", "Its part along the image's rows."),
+    Metric("pillar_deflection_col", LENGTH, "pillar_frame", "Its part along the image's columns."),
+    Metric("pillar_deflection_axis", LENGTH, "pillar_frame", "Its part along the axis from pillar to pillar."),
+    Metric("pillar_force", FORCE, "pillar_frame", "Force along the pillar's own motion, positive in contraction."),
+    Metric("pillar_rotation", ANGLE, "pillar_frame", "Rotation of the pillar's head since the reference frame, "
+           "clockwise.", error=False),
     Metric("mean_absolute_displacement", LENGTH, "frame", "Mean over markers of the distance from the movie's relaxed "
            "state."),
     Metric("mean_absolute_displacement_corrected", LENGTH, "frame", "mean_absolute_displacement less what noise adds "
@@ -196,5 +231,6 @@ METRICS: tuple[Metric, ...] = (
     Metric("time", TIME, "frame", "Time of the frame.", error=False),
 )
 
-IDENTITY = ("beat", "frame", "subdomain", "complete", "relaxed", "start_frame", "peak_frame", "stop_frame", "reason")
+IDENTITY = ("beat", "frame", "subdomain", "pillar", "complete", "relaxed", "start_frame", "peak_frame", "stop_frame",
+            "reason")
 """Columns that name a row rather than measure something."""

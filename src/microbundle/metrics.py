@@ -15,6 +15,7 @@ from .analysis import Analysis
 from .data import Bools, Floats
 from .dictionary import METRICS, Level, columns
 from .draws import COUNT as DRAWS
+from .force import budget, pillar_series, pillar_values, tissue_force_values
 from .numbers import (
     baseline_drift,
     beat_signal,
@@ -42,7 +43,8 @@ def tables(analysis: Analysis) -> dict[str, pd.DataFrame]:
     `summary` has a row for each metric of the movie (n, mean, standard error, sd, cv, median, 95 % interval of the mean
     over whole beats); `beats` a row for each beat, by the mean absolute displacement, and `shortening` by the tissue's
     length; `subdomains` a row for each sub-domain and beat, `frames` for each frame, `strain` for each sub-domain and
-    frame. Lengths are given in px, and in um too where the pixel size is known; times in frames, or in seconds where
+    frame. `pillars` has a row for each pillar and beat, `pillar_frames` for each pillar and frame, and `budget` the
+    sources of the forces' errors; all three are empty without pillars. Lengths are given in px, and in um too where the pixel size is known; times in frames, or in seconds where
     the frame times are known. Standard errors (`_se`) are those of the measurement, for results of the method
     `accurate`.
     """
@@ -51,34 +53,43 @@ def tables(analysis: Analysis) -> dict[str, pd.DataFrame]:
     errors = standard_errors(analysis, _with_errors)
     signals = np.stack([beat_signal(analysis), analysis.beats.signal_px])
     added = added_by_noise(analysis, lambda a: np.stack([beat_signal(a), a.beats.signal_px]))
-    values = {"beat": beat_values(analysis, signals[0] - added[0]), "shortening": shortening_values(analysis),
-              "subdomain": subdomain_values(analysis)}
+    values = _levels(analysis, signals[0] - added[0])
     return {
         "summary": _summary(analysis, values, errors),
         "beats": pd.DataFrame(list(_beat_rows(analysis, values["beat"], errors, "beat"))),
         "shortening": pd.DataFrame(list(_beat_rows(analysis, values["shortening"], errors, "shortening"))),
         "subdomains": pd.DataFrame(list(_subdomain_rows(analysis, values["subdomain"], errors))),
+        "pillars": pd.DataFrame(list(_pillar_rows(analysis, values["pillar"], errors))),
         "frames": _frames(analysis, errors, added[1]),
         "strain": _strain_frames(analysis, errors),
+        "pillar_frames": _pillar_frames(analysis, errors),
+        "budget": pd.DataFrame(list(budget(analysis, values, _errors_of(errors, "mean")))),
     }
+
+
+def _levels(analysis: Analysis, signal: Floats, *, nulls: bool = True) -> dict[Level, dict[str, Floats]]:
+    """The numbers of all levels that have beats, from the signal of `beat_signal`."""
+    pillars = pillar_values(analysis)
+    return {"beat": beat_values(analysis, signal, nulls=nulls) | tissue_force_values(analysis, pillars),
+            "shortening": shortening_values(analysis), "subdomain": subdomain_values(analysis), "pillar": pillars}
 
 
 def _with_errors(analysis: Analysis) -> dict[str, Floats]:
     """All numbers that have a standard error, by level and name; means over the whole beats besides."""
-    beats = beat_values(analysis, beat_signal(analysis), nulls=False)
-    levels = {"beat": beats, "shortening": shortening_values(analysis), "subdomain": subdomain_values(analysis)}
+    levels = _levels(analysis, beat_signal(analysis), nulls=False)
     out = {f"{level}.{name}": values for level, found in levels.items() for name, values in found.items()}
     whole = analysis.beats.complete
     out |= {f"mean.{name}": _mean_of_known(values[whole]) for level in OVER_BEATS
             for name, values in levels[level].items()}
+    out |= {f"mean.pillar.{name}": _mean_of_known(values[whole]) for name, values in levels["pillar"].items()}
     movie = {"drift": np.array(drift_px(analysis)), "baseline_drift": np.array(baseline_drift(analysis)),
-             **rhythm_values(analysis, beats, nulls=False)}
+             **rhythm_values(analysis, levels["beat"], nulls=False)}
     out |= {f"mean.{name}": value for name, value in movie.items()}
     frames = {"mean_absolute_displacement": analysis.beats.signal_px, "shortening": shortening(analysis)}
     out |= {f"frame.{name}": value for name, value in frames.items()}
     if analysis.strain is not None:
         out |= {"F": analysis.strain.F, "E": analysis.strain.E}
-    return out
+    return out | {f"pillar_frame.{name}": values for name, values in pillar_series(analysis).items()}
 
 
 def _written(analysis: Analysis, values: Mapping[str, Any], errors: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -127,6 +138,29 @@ def _subdomain_rows(analysis: Analysis, values: Mapping[str, Floats],
                    **_written(analysis, here, _at(error, (b, s)))}
 
 
+def _pillar_rows(analysis: Analysis, values: Mapping[str, Floats],
+                 errors: Mapping[str, Floats]) -> Iterator[dict[str, object]]:
+    beats, motion, error = analysis.beats, analysis.pillars, _errors_of(errors, "pillar")
+    if motion is None:
+        return
+    for b in range(len(beats)):
+        for p, name in enumerate(motion.pillars.names):
+            yield {"beat": b, "pillar": name, "complete": bool(beats.complete[b]),
+                   **_written(analysis, _at(values, (b, p)), _at(error, (b, p)))}
+
+
+def _pillar_frames(analysis: Analysis, errors: Mapping[str, Floats]) -> pd.DataFrame:
+    import pandas as pd
+
+    motion, error = analysis.pillars, _errors_of(errors, "pillar_frame")
+    if motion is None:
+        return pd.DataFrame()
+    count, names = analysis.frame_count, np.array(motion.pillars.names)
+    values = {name: series.ravel() for name, series in pillar_series(analysis).items()}
+    return pd.DataFrame({"frame": np.repeat(np.arange(count), len(names)), "pillar": np.tile(names, count),
+                         **_written(analysis, values, {name: series.ravel() for name, series in error.items()})})
+
+
 def _frames(analysis: Analysis, errors: Mapping[str, Floats], added: Floats) -> pd.DataFrame:
     import pandas as pd
 
@@ -159,7 +193,7 @@ def _strain_frames(analysis: Analysis, errors: Mapping[str, Floats]) -> pd.DataF
     return pd.DataFrame(found)
 
 
-def _summary(analysis: Analysis, values: Mapping[str, Mapping[str, Floats]],
+def _summary(analysis: Analysis, values: Mapping[Level, Mapping[str, Floats]],
              errors: Mapping[str, Floats]) -> pd.DataFrame:
     """One row for each metric of the movie; those of beats over the whole beats."""
     import pandas as pd

@@ -10,7 +10,7 @@ import numpy as np
 
 from .analysis import Analysis
 from .contraction import mean_absolute
-from .data import Floats, Strain, known
+from .data import Floats, Ints, Strain, known
 from .dictionary import PREFIX, Level
 from .waveform import beat_shapes, vertex
 
@@ -67,10 +67,9 @@ def end_distance(analysis: Analysis) -> tuple[Floats, float]:
     order = usable[np.argsort(rest[usable] @ direction)]
     size = max(1, int(END_SHARE * len(order)))
     first, last = order[:size], order[-size:]
-    along = analysis.tracks.position_px @ direction
-    moved = along - rest @ direction
+    moved = (analysis.tracks.position_px - rest) @ direction
 
-    def end(members: Floats) -> Floats:
+    def end(members: Ints) -> Floats:
         seen = np.isfinite(moved[:, members])
         total = np.where(seen, moved[:, members], 0).sum(axis=1, dtype=float)
         return np.asarray(np.divide(total, seen.sum(axis=1), out=np.full(len(moved), np.nan), where=seen.any(axis=1)))

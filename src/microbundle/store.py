@@ -16,7 +16,18 @@ import numpy as np
 
 from .analysis import Analysis
 from .config import Config
-from .data import Beats, Finding, Grid, Markers, Masks, Strain, TissueAxis, Tracks
+from .data import (
+    Beats,
+    Finding,
+    Grid,
+    Markers,
+    Masks,
+    PillarMotion,
+    Pillars,
+    Strain,
+    TissueAxis,
+    Tracks,
+)
 from .draws import Draws
 from .errors import ResultUnreadable
 from .field import Field
@@ -159,9 +170,19 @@ def _to_dataset(a: Analysis) -> xr.Dataset:
         put("subdomain_corner", ("subdomain", "corner", "axis"), s.corner_px, "px", "corners at rest")
         put("subdomain_markers", ("subdomain",), s.count, "1", "markers in the sub-domain")
         put("subdomain_reason", ("subdomain",), np.array(s.reason, dtype=object), "", "why it has no strain, or empty")
+    if a.pillars is not None:
+        m = a.pillars
+        put("pillar_mask", ("pillar", "image_row", "image_col"), np.stack(m.pillars.masks).astype(np.uint8), "1",
+            "1 where the pixel is the pillar")
+        put("pillar_center", ("pillar", "axis"), m.pillars.center_px, "px", "middle of the mask")
+        put("pillar_shift", ("frame", "pillar", "axis"), m.shift_px, "px", "movement from the reference frame")
+        put("pillar_shift_se", ("frame", "pillar", "axis"), m.shift_se_px, "px", "standard error of pillar_shift")
+        put("pillar_rotation", ("frame", "pillar"), m.rotation_deg, "degree", "rotation from the reference frame")
     coords: dict[str, Any] = {"axis": list(RC), "i": list(RC), "j": list(RC)}
     if a.strain is not None:
         coords["subdomain"] = list(a.strain.label)
+    if a.pillars is not None:
+        coords["pillar"] = list(a.pillars.pillars.names)
     return xr.Dataset(out, coords=coords, attrs=_attributes(a))
 
 
@@ -199,9 +220,12 @@ def _attributes(a: Analysis) -> dict[str, Any]:
         "grid_shape": list(a.grid.shape),
         "strain": json.dumps(None if a.strain is None else {
             "grid": a.strain.grid, "side_px": a.strain.side_px, "angle_deg": a.strain.angle_deg}),
+        "pillars": json.dumps(None if a.pillars is None else {
+            "source": a.pillars.pillars.source, "score": a.pillars.pillars.score, "method": a.pillars.method}),
         "findings": json.dumps({name: [asdict(f) for f in found] for name, found in (
             ("movie", a.movie_findings), ("masks", a.masks.findings), ("markers", a.markers.findings),
-            ("tracks", a.tracks.findings), ("beats", a.beats.findings))}),
+            ("tracks", a.tracks.findings), ("beats", a.beats.findings),
+            ("pillars", () if a.pillars is None else a.pillars.findings))}),
     }
 
 
@@ -245,7 +269,17 @@ def _from_dataset(data: xr.Dataset) -> Analysis:
         grid=Grid(get("grid_point"), (rows, cols), get("grid_displacement")), strain=strain,
         movie_findings=found["movie"], files=tuple(json.loads(attr["files"])), input_hash=str(attr["input_hash"]),
         versions=json.loads(attr["versions"]), stage_px=get("stage") if "stage" in data else None,
+        pillars=_pillars(data, json.loads(attr["pillars"]), found["pillars"]),
     )
+
+
+def _pillars(data: xr.Dataset, about: dict[str, Any] | None, findings: tuple[Finding, ...]) -> PillarMotion | None:
+    if about is None:
+        return None
+    heads = Pillars(tuple(data["pillar_mask"].values > 0), tuple(str(name) for name in data["pillar"].values),
+                    data["pillar_center"].values, tuple(about["source"]), tuple(about["score"]))
+    return PillarMotion(heads, data["pillar_shift"].values, data["pillar_shift_se"].values,
+                        data["pillar_rotation"].values, about["method"], findings)
 
 
 def _finite(value: float) -> float | None:

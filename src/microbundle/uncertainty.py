@@ -15,7 +15,7 @@ import numpy as np
 
 from .analysis import Analysis
 from .contraction import mean_absolute, rest_weights
-from .data import Beats, Bools, Floats, Ints, Strain
+from .data import Beats, Bools, Floats, Ints, PillarMotion, Strain
 from .draws import SEED
 from .field import Field
 from .strain import weigh_tiles
@@ -45,7 +45,7 @@ def alternatives(analysis: Analysis, *, same_rest: bool = False) -> Iterator[Ana
         changed = _moved(analysis, markers, grid, resting)
         if strain is not None and tiles is not None:
             changed = replace(changed, strain=_strained(strain, analysis.beats, tiles.gradient(slopes[0])[0], resting))
-        yield changed
+        yield replace(changed, pillars=_shifted(analysis.pillars, rng))
 
 
 def standard_errors(analysis: Analysis, numbers: Callable[[Analysis], Mapping[str, Floats]]) -> dict[str, Floats]:
@@ -157,6 +157,14 @@ def _moved(analysis: Analysis, markers: Floats, grid: Floats, resting: Bools) ->
         analysis, tracks=replace(tracks, position_px=position, field=_without_draws(tracks.field)),
         beats=replace(beats, signal_px=signal, relaxed_px=rest, beat_relaxed_px=beats.beat_relaxed_px + beat_shift),
         grid=replace(analysis.grid, displacement_px=analysis.grid.displacement_px + changed))
+
+
+def _shifted(pillars: PillarMotion | None, rng: np.random.Generator) -> PillarMotion | None:
+    """The pillars' motion with errors drawn for each frame; what is common to all frames cancels in every force."""
+    if pillars is None:
+        return None
+    error = rng.standard_normal(pillars.shift_px.shape) * np.nan_to_num(pillars.shift_se_px)
+    return replace(pillars, shift_px=pillars.shift_px + error)
 
 
 def _without_draws(field: Field | None) -> Field | None:

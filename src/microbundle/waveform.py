@@ -81,7 +81,7 @@ class _Shape:
     @property
     def top(self) -> np.ndarray:
         """Index of the highest point (n,)."""
-        return np.argmax(self.height, axis=0)
+        return np.asarray(np.argmax(self.height, axis=0))
 
     def crossing(self, level: Floats, *, rising: bool) -> Floats:
         """Time (n,) at which heights last rise through levels (n,) before the peak, or first fall through them after
@@ -101,7 +101,7 @@ class _Shape:
         n = np.arange(self.height.shape[1])
         rise = self.height[high, n] - self.height[low, n]
         share = np.divide(level - self.height[low, n], rise, out=np.zeros(len(n)), where=rise != 0)
-        return np.where(there, self.time[low] + share * (self.time[high] - self.time[low]), np.nan)
+        return np.asarray(np.where(there, self.time[low] + share * (self.time[high] - self.time[low]), np.nan))
 
 
 def _measure(shape: _Shape, slope: Floats, levels: Sequence[int]) -> Iterator[tuple[str, Floats]]:
