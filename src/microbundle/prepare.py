@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .config import Reading
-from .data import Floats, Frames, Image, Ints
+from .data import Bools, Floats, Frames, Image, Ints
 
 UNSHARP_PX = 2.0
 FLASH_MAD = 8.0
@@ -51,10 +51,14 @@ def filtered(frame: Image, reading: Reading) -> Image:
 
 
 def find_flashes(frames: Frames, keep: Ints) -> Ints:
-    """Find the frames whose mean brightness jumps away from the median of the nine frames around them."""
+    """Find the frames whose mean brightness jumps away from those around them."""
+    return np.asarray(keep[stands_out(np.array([float(frames[int(t)].mean()) for t in keep]))])
+
+
+def stands_out(brightness: Floats) -> Bools:
+    """Tell which frames' mean brightness (n,) jumps away from the median of the nine frames around them."""
     from scipy.ndimage import median_filter
 
-    brightness = np.array([float(frames[int(t)].mean()) for t in keep])
     away = np.abs(brightness - median_filter(brightness, 9, mode="nearest"))
     limit = max(FLASH_MAD * float(np.median(away)), FLASH_SHARE * float(np.median(np.abs(brightness))))
-    return np.asarray(keep[away > limit])
+    return np.asarray(away > limit)
