@@ -14,6 +14,8 @@ from .events import Progress, Tell, ignore, stage
 from .grid import interpolate_grid
 from .markers import place_markers
 from .mask import find_masks
+from .quality import check_movie
+from .quality_result import check_result
 from .read import calibrated, content_hash, prepare
 from .reference import find_relaxed_frame
 from .register import register
@@ -56,7 +58,9 @@ def analyze(movie: Movie, config: Config | None = None, *, masks: Masks | None =
         name=movie.name, image=movie.frames[reference_frame], time_s=movie.time_s, time_source=movie.time_source,
         um_per_px=movie.um_per_px, um_per_px_source=movie.um_per_px_source, config=config, masks=masks,
         markers=markers, tracks=tracks, beats=beats, grid=grid, strain=strain,
-        movie_findings=movie.findings + no_strain + stage_finding(background, beats),
+        movie_findings=(*movie.findings, *check_movie(movie, masks, config.method), *no_strain,
+                        *stage_finding(background, beats),
+                        *check_result(movie, masks, tracks, beats, strain, config.method)),
         files=tuple(str(file) for file in movie.files), input_hash=content_hash(movie), versions=_versions(),
         stage_px=None if background is None else background.shift_px,
     )
