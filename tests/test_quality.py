@@ -1,10 +1,13 @@
 """Faults made on purpose are found, a good movie is not accused, and odd movies are no trouble."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import microbundle
 from microbundle import read_movie
 from microbundle.analysis import Analysis
 from microbundle.appearance import MOST_FRAMES, frames_to_look_at, look
@@ -266,3 +269,11 @@ def test_real_movies(data_folder):
     for name in ("type1_bright", "type1_dark"):
         movie = read_movie(data_folder / name, fps=30, um_per_px=4)
         assert check_movie(movie, find_masks(movie, MaskParams())) == ()
+
+
+def test_guide_lists_every_finding():
+    guide = (Path(__file__).parents[1] / "docs" / "guide.md").read_text(encoding="utf-8")
+    source = "".join(file.read_text(encoding="utf-8") for file in Path(microbundle.__file__).parent.glob("*.py"))
+    keys = set(re.findall(r"Finding\(\s*\"([a-z_]+)\"", source))
+    assert len(keys) > 40
+    assert [key for key in sorted(keys) if f"`{key}`" not in guide] == []
