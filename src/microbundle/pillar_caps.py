@@ -25,21 +25,25 @@ AROUND = 0.03
 """The range of brightness is that of the tissue and of the ground this near to it, as a share of its length."""
 SHADING = 0.04
 """Brightness that varies over more than this share of the tissue's length is shading, not texture."""
+OUTLINE_PX = 4
+"""The tissue's outline is blurred over this far."""
 LEVELS = 18
 """Brightnesses at which pieces are cut out."""
+SAME_PX, SAME_AREA = 4, 0.2
+"""Pieces that differ by less than this in their place and in the logarithm of their area are taken for the same."""
 DIAMETER = (0.05, 0.09, 0.30, 0.42)
 """Diameter of a cap of the same area, as a share of the tissue's length."""
 DIAMETER_TO_WIDTH = (1.15, 0.95)
 """The same as a share of the tissue's largest width: the tissue holds the pillar."""
 CAP_ASIDE = (0.38, 0.22)
 """Distance of a cap from the axis, as a share of the tissue's largest width."""
-CAP_SOLIDITY = (0.75, 0.9)
+CAP_SOLIDITY = (0.78, 0.92)
 """Share of its convex hull."""
 CAP_ROUNDNESS = (0.35, 0.6)
 """Smaller to larger axis of the ellipse with its second moments."""
 CAP_CUT_OFF = (0.3, 0.1)
 """Share of the outline that lies at the picture's edge."""
-CAP_CONTRAST = (1.5, 4.0)
+CAP_CONTRAST = (2.5, 6.0)
 """Difference between a cap and its ring, in standard deviations of the tissue; in the weaker parts of the ring."""
 CAP_RANGE = (0.04, 0.12)
 """The same difference as a share of the picture's range of brightness."""
@@ -63,16 +67,25 @@ def caps(level: Level) -> list[Candidate]:
     inner[:, np.abs(np.arange(inner.shape[1]) - level.middle[1]) > PLACE[0] * LENGTH_PX] = False
     if high <= low or not inner.any():
         return []
-    texture = np.abs(smooth - blurred(smooth, SHADING * LENGTH_PX))[inner]
-    scatter = max(1.48 * float(np.median(texture)), 0.005 * float(high - low))
+    scatter = max(_texture(smooth, inner), 0.005 * float(high - low))
     found = []
     for sign in (1, -1):
+        tried: set[tuple[int, ...]] = set()
         for cut in np.linspace(low, high, LEVELS + 2)[1:-1]:
-            for piece in _pieces(level, sign * (smooth - cut) > 0):
+            for piece in _pieces(level, sign * (smooth - cut) > 0, tried):
                 one = _cap(level, smooth, piece, sign, scatter, float(high - low))
                 if one is not None:
                     found.append(one)
     return sorted(found, key=lambda c: -c.plausibility)
+
+
+def _texture(smooth: Floats, tissue: Bools) -> float:
+    """Standard deviation of the brightness of the tissue itself, without shading and without its outline."""
+    inner = distance(tissue) > OUTLINE_PX
+    inner = inner if inner.any() else tissue
+    share = inner.astype(np.float32)
+    shading = blurred(smooth * share, SHADING * LENGTH_PX) / np.maximum(blurred(share, SHADING * LENGTH_PX), 1e-6)
+    return 1.48 * float(np.median(np.abs(smooth - shading)[inner]))
 
 
 @dataclass(frozen=True)
@@ -83,8 +96,11 @@ class _Piece:
     mask: Bools
 
 
-def _pieces(level: Level, above: Bools) -> Iterator[_Piece]:
-    """The pieces of a mask, holes filled, that have the size and the place of a cap."""
+def _pieces(level: Level, above: Bools, tried: set[tuple[int, ...]]) -> Iterator[_Piece]:
+    """The pieces of a mask, holes filled, that have the size and the place of a cap, but of none in `tried`.
+
+    Pieces of neighbouring brightness are often nearly the same, and their outlines end up at the same place.
+    """
     _, label, stats, middle = cv2.connectedComponentsWithStats((above & level.seen).astype(np.uint8), connectivity=4)
     smallest, largest = (np.pi / 4 * (d * LENGTH_PX) ** 2 for d in (DIAMETER[0], DIAMETER[-1]))
     place = (middle[:, ::-1] - level.middle) / LENGTH_PX
@@ -94,6 +110,10 @@ def _pieces(level: Level, above: Bools) -> Iterator[_Piece]:
             & (np.abs(place[:, 0]) * LENGTH_PX < CAP_ASIDE[0] * level.width))
     fits[0] = False
     for i in np.nonzero(fits)[0]:
+        like = (*(middle[i] / SAME_PX).round().astype(int).tolist(), round(np.log(area[i]) / SAME_AREA))
+        if like in tried:
+            continue
+        tried.add(like)
         x, y, wide, high = stats[i, :4]
         pad = int(RING * max(wide, high)) + 4
         window = (slice(max(y - pad, 0), y + high + pad), slice(max(x - pad, 0), x + wide + pad))

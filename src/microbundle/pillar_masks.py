@@ -27,7 +27,7 @@ ACCEPT = 0.4
 """Smallest plausibility of a pair that is believed."""
 ACCEPT_ALONE = 0.75
 """Smallest plausibility of a pillar that is believed without a partner like it."""
-SURE = 0.6
+SURE = 0.65
 """Below this plausibility a pair is for review, and above it no plates are looked for when caps are found."""
 COMPARED = 12
 """Candidates of each end that are compared with those of the other."""
