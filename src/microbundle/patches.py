@@ -31,8 +31,8 @@ LEAST_INSIDE = 0.75
 """Share of a patch's pixels that must be in the picture."""
 MOST_STEPS, TOLERANCE_PX, LONGEST_STEP_PX = 30, 1e-3, 2.0
 LEAST_GAIN, MOST_STRAIN = 0.1, 0.3
-LEAST_MATCH = 0.4
-"""Share of a patch's variance that must be found again; noise alone stays below 0.1, another place below 0.4."""
+LEAST_MATCH = 0.5
+"""Share of a patch's variance that must be found again; in pure noise a search finds 0.1."""
 BLUR_PX, BLURRED_NOISE = 0.7, 0.44
 """Blur of slopes, and the mean product of slopes with and without it for white noise of unit variance."""
 INTERPOLATION_PX = 0.0004
@@ -92,6 +92,7 @@ class Patches:
         n = len(corner)
         self.good = np.zeros(n, bool)
         self.contrast = np.ones(n)
+        """Variance of the grey values."""
         self.step: Floats = np.zeros((n, 6, 6))
         """What the sums of residual times slope add to the warp."""
         self.spread: Floats = np.zeros((n, len(LAGS), 6))
@@ -106,9 +107,10 @@ class Patches:
     def _prepare(self, i: int, own: Float32, y: Floats, x: Floats, free: Floats) -> None:
         use = self.use[i]
         f = np.where(use, self.f[i] - self.f[i][use].mean(), 0.0)
-        self.contrast[i] = (f**2).sum() / self.pixels[i]
-        if self.contrast[i] <= 1e-12 * max(float((self.f[i][use] ** 2).mean()), 1e-300):
+        contrast = (f**2).sum() / self.pixels[i]
+        if contrast <= 1e-12 * max(float((self.f[i][use] ** 2).mean()), 1e-300):
             return
+        self.contrast[i] = contrast
         soft = np.stack([self.gr[i], self.gc[i]])
         self.slope2[i] = (soft * own * use).sum(axis=(1, 2)) / self.pixels[i]
         light = np.stack([use / np.sqrt(self.pixels[i]), f / np.sqrt((f**2).sum())])

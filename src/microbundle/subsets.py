@@ -27,8 +27,10 @@ TEMPLATE_MARGIN_PX = 6
 """Around a body, for the slopes at its border."""
 DOUBT, LEAST_DOUBT = 2.0, 0.03
 """The search starts once more where the share that is not found again is this many times the least so far."""
-ODD, ODD_FLOOR = 4.0, 0.06
+ODD, ODD_FLOOR = 4.0, 0.25
 """A patch shows something else in frames where that share is this many times the usual."""
+LEAST_VARIANCE = 1e-4
+"""Of the residual in a usual frame, as a share of the patch's own."""
 STILL = np.eye(2, 3)
 ROTATION = 3
 """Row of the warp's parameters that is the angle of a small rotation, clockwise on the screen."""
@@ -39,14 +41,16 @@ GLARE_PERCENT = (0.5, 99.5)
 
 
 def follow_points(movie: Movie, points_px: ArrayLike, *, half_width_px: int = 10, mask: Bools | None = None,
-                  reference_frame: int = 0, max_error_px: float = 0.25) -> Tracks:
+                  reference_frame: int = 0, max_error_px: float = 0.5) -> Tracks:
     """Follow points (N, 2), each by the square of 2 half_width_px + 1 px around it, through all frames of a movie.
 
     Points are (row, col) in px in the reference frame. Only pixels inside `mask` (R, C) count, when it is given: let
     it hold what moves together, so that a square at a border does not see both sides. `position_px` (T, N, 2) is NaN
     and `ok` False wherever a point cannot be followed: fewer than 60 usable pixels, no texture, a search that does
     not end, a picture that does not match, or a standard error above `max_error_px`. `position_se_px` (T, N, 2) is the
-    standard error of the way from the reference frame; it holds the noise of both frames.
+    standard error of the way from the reference frame; it holds the noise of both frames, and grows where a frame's
+    residual is far above that of the point's other frames. A pattern that repeats itself can be followed only while
+    it moves by less than half of its period from frame to frame.
 
     Raises ConfigError for points, a half width or a reference frame that are not allowed, and MaskUnusable.
     """
@@ -66,7 +70,11 @@ def follow_points(movie: Movie, points_px: ArrayLike, *, half_width_px: int = 10
         ok[t], variance[t], unlike[t] = found.ok, found.variance, 1 - found.match
         noise.add(t, found)
     ok &= ~_odd(unlike, ok)
-    se = noise.standard_error(variance, (0, 1)) * patches.noisy_slopes(_usual(variance, ok) / 2)
+    usual = _usual(variance, ok)
+    # What exceeds the usual residual is no noise but another picture, and does not average out over the pixels.
+    excess = variance / (ODD * np.maximum(usual, LEAST_VARIANCE * patches.contrast))
+    se = noise.standard_error(variance, (0, 1)) * patches.noisy_slopes(usual / 2)
+    se *= np.sqrt(np.maximum(excess, 1))[:, :, None]
     ok &= se.max(axis=-1) <= max_error_px
     position[~ok], se[~ok] = np.nan, np.nan
     return Tracks(position, ok, "subsets", reference_frame, 2 * int(half_width_px) + 1, position_se_px=se)
@@ -147,9 +155,9 @@ def _frames(movie: Movie, patches: Patches, reference: int, anchors: Floats,
                 again = np.where((patches.good & ~sure)[:, None], way(frame, found, sure), np.nan)
                 missed = known_points(again)
                 if missed.any():
-                    begin = np.where(missed[:, None, None], np.dstack([still[:, :, :2], again]), start)
-                    part = Part.of(frame, patches, begin)
-                    found = _either(found, patches.find(part, begin, missed))
+                    start = np.where(missed[:, None, None], np.dstack([still[:, :, :2], again]), start)
+                    part = Part.of(frame, patches, start)
+                    found = _either(found, patches.find(part, start, missed))
             if t != reference:
                 least = np.where(found.ok, np.minimum(np.maximum(1 - found.match, LEAST_DOUBT), least), least)
             yield t, part, found
