@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import ndimage
 
 import microbundle
 from microbundle.data import Floats, Image, Movie
@@ -153,6 +154,21 @@ def test_a_straight_edge_is_not_followed_along_itself():
     edge = np.broadcast_to(np.tanh((np.arange(150.0) - 60) / 3), (4, 120, 150))
     frames = Movie.from_array(counts(0.5 + 0.3 * edge, 0.003))
     assert not follow_points(frames, [[60.0, 60.0]]).ok[1:].any()
+
+
+def test_an_edge_with_faint_texture_is_never_found_elsewhere_along_itself():
+    """Through steps of 8 px, with noise as strong as the texture: where a point is given, it is within its error."""
+    row, col = np.indices(SHAPE)
+    grain = np.random.default_rng(3).standard_normal(SHAPE)
+    image = 0.5 + 0.3 * np.tanh((row - 55 - 0.02 * col) / 4) + 0.02 * ndimage.gaussian_filter(grain, 1.5) / 0.19
+    rendered = Rendered(band_limited(np.clip(image, 0, 1)), motion_of("shift"), SHAPE)
+    frames = np.stack([rendered.perfect(t) for t in range(FRAMES)])
+    points = np.column_stack([np.full(16, 55.0), np.linspace(30, 120, 16)])
+    for noise in (0.0, 0.002, 0.02):
+        tracks = follow_points(Movie.from_array(counts(frames, noise)), points)
+        off = np.abs(tracks.position_px - points - sways()[:, None])
+        assert tracks.ok.mean() > (0.9 if noise < 0.02 else 0.1)
+        assert np.nanmax(off / tracks.position_se_px) < 5
 
 
 def test_points_that_leave_the_picture_are_lost_and_found_again():
