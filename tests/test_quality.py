@@ -190,6 +190,19 @@ def test_focus_that_follows_the_beat(tissue_analysis, tissue_movie):
     assert levels(check_result(leaves, *parts)) == {"focus_with_beat": "review"}
 
 
+def test_lost_peaks(tissue_analysis):
+    tracks, beats = tissue_analysis.tracks, tissue_analysis.beats
+
+    def without(*frames):
+        ok, signal = tracks.ok.copy(), beats.signal_px.copy()
+        ok[list(frames)], signal[list(frames)] = False, np.nan
+        return judged(tissue_analysis, tracks=replace(tracks, ok=ok), beats=replace(beats, signal_px=signal))
+    assert without(0, 24) == {}
+    assert without(beats.peak[0] + 1) == {"peaks_lost": "review"}
+    assert without(*beats.peak) == {"peaks_lost": "fail"}
+    assert without(*beats.peak, *(beats.peak - 3)) == {"peaks_lost": "fail"}
+
+
 def test_forward_backward(tissue_analysis):
     tracks = tissue_analysis.tracks
     for miss, keys in ((0.02, {}), (0.3, {"forward_backward": "review"})):

@@ -19,6 +19,8 @@ FOCUS_WITH_BEAT = 0.1
 """Change of sharpness from rest to peak: below 0.03 in good movies, 0.02 and 0.06 in real ones; 0.11 to 0.18 where the
 peaks are blurred by 0.5 px, which makes displacement wrong by 0.05 px."""
 MOST_COMPARED = 8
+NEAR_PEAK = 2
+"""Frames from a peak within which a lost frame may have held the real one."""
 MISSES_PX = 0.1
 RESIDUAL = 0.2
 """Standard deviations of the tissue: 0 to 0.07 in good movies, 0.12 in a real one."""
@@ -40,8 +42,8 @@ def check_result(movie: Movie, masks: Masks, tracks: Tracks, beats: Beats, strai
     At most 32 frames of the movie are looked at, to compare peaks with rests.
     """
     every = (_contracted_start(tracks, masks) if method == "paper" else None, _amplitude(beats, method),
-             _focus_with_beat(movie, masks, beats), _misses(tracks), _residual(tracks, beats), _timing(beats),
-             _rhythm(beats), _without_strain(strain), _sign_change(tracks, beats, strain))
+             _peaks(tracks, beats), _focus_with_beat(movie, masks, beats), _misses(tracks), _residual(tracks, beats),
+             _timing(beats), _rhythm(beats), _without_strain(strain), _sign_change(tracks, beats, strain))
     return tuple(finding for finding in every if finding is not None)
 
 
@@ -60,9 +62,10 @@ def _contracted_start(tracks: Tracks, masks: Masks) -> Finding | None:
 
 
 def _amplitude(beats: Beats, method: Method) -> Finding | None:
-    if len(beats) == 0:
+    peaks = beats.signal_px[beats.peak]
+    if not np.isfinite(peaks).any():
         return None
-    size = float(np.nanmedian(beats.signal_px[beats.peak]))
+    size = float(np.nanmedian(peaks))
     if not size < WHOLE_PX:
         return None
     limit = beats.detection_limit_px
@@ -73,6 +76,17 @@ def _amplitude(beats: Beats, method: Method) -> Finding | None:
     return Finding("sub_pixel_motion", "review", f"the tissue moves by less than a pixel (on average {size:.2g} px "
                    f"at the peaks{small}), where single markers err by a tenth of it and more. Use the method "
                    "accurate, or magnify more", size, WHOLE_PX)
+
+
+def _peaks(tracks: Tracks, beats: Beats) -> Finding | None:
+    """A lost frame near a peak takes the peak away."""
+    lost = np.flatnonzero(~tracks.ok.any(axis=1))
+    near = np.abs(beats.peak[:, None] - lost).min(axis=1, initial=NEAR_PEAK + 1) <= NEAR_PEAK
+    if not near.any():
+        return None
+    return Finding("peaks_lost", "fail" if near.mean() > 0.5 else "review", f"frames at the peaks of {int(near.sum())} "
+                   f"of {len(near)} beats were lost, so their amplitude and strain are too small: the tissue moves too "
+                   "far, folds or leaves the focus there. Look at those frames", float(near.sum()), 0.0)
 
 
 def _focus_with_beat(movie: Movie, masks: Masks, beats: Beats) -> Finding | None:
@@ -119,7 +133,7 @@ def _residual(tracks: Tracks, beats: Beats) -> Finding | None:
 
 
 def _timing(beats: Beats) -> Finding | None:
-    whole = np.flatnonzero(beats.complete)
+    whole = np.flatnonzero(beats.complete & np.isfinite(beats.signal_px[beats.peak]))
     if len(whole) == 0:
         return None
     up = float(np.median([upstroke_frames(beats.signal_px[beats.start[b]:beats.peak[b] + 1]) for b in whole]))
@@ -134,7 +148,9 @@ def _timing(beats: Beats) -> Finding | None:
 
 def upstroke_frames(rise_px: Floats) -> float:
     """Count the frames, with parts, from a tenth of a beat's height to its peak, the last value of a signal (n,)."""
-    low = float(np.nanmin(rise_px))
+    seen = np.flatnonzero(np.isfinite(rise_px))
+    rise_px = np.interp(np.arange(len(rise_px)), seen, rise_px[seen])
+    low = float(rise_px.min())
     foot = low + FOOT * (float(rise_px[-1]) - low)
     below = np.flatnonzero(rise_px <= foot)
     if len(below) == 0 or below[-1] + 1 >= len(rise_px):
