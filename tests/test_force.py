@@ -30,7 +30,7 @@ def with_pillars(analysis, *, drift_px=0.0, lag=0.0, unloaded=None, noise_px=0.0
     masks = np.zeros((2, *analysis.image.shape), bool)
     masks[0, 54:75, 6:27], masks[1, 54:75, 166:187] = True, True
     pillars = Pillars(tuple(masks), ("1", "2"), CENTER, ("supplied", "supplied"), (None, None))
-    motion = PillarMotion(pillars, shift, np.full(shift.shape, noise_px), np.zeros((len(t), 2)), "body")
+    motion = PillarMotion(pillars, shift, np.full(shift.shape, noise_px), np.zeros((len(t), 2)), np.zeros(2), "body")
     params = {"stiffness_un_per_um": K, "stiffness_error_pct": 5.0, "depth_um": DEPTH, "unloaded_px": unloaded}
     return replace(analysis, pillars=motion, config=Config.from_dict({"pillars": params}))
 

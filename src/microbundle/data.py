@@ -289,6 +289,9 @@ class PillarMotion:
     """(T, P, 2): its standard error, NaN where the method does not know it."""
     rotation_deg: Floats
     """(T, P): rotation of each head in the picture, clockwise; a head that only bends over hardly rotates."""
+    gain_se: Floats
+    """(P,): standard error of all motion of a pillar as a share of it, by how its quarters disagree; NaN where the
+    method does not know it."""
     method: str
     findings: tuple[Finding, ...] = ()
 
@@ -297,6 +300,7 @@ class PillarMotion:
         _expect("shift_px", self.shift_px, (None, p, 2))
         _expect("shift_se_px", self.shift_se_px, self.shift_px.shape)
         _expect("rotation_deg", self.rotation_deg, self.shift_px.shape[:2])
+        _expect("gain_se", self.gain_se, (p,))
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,9 @@
 """Follow the pillars: a movie becomes the motion of each pillar's head.
 
 A head is a rigid body: it is registered as one, by translation and rotation, against the reference frame and then
-against the mean of all frames (`subsets.follow_body`). The method `paper` follows corners in the pillar's mask from
+against the mean of all frames (`subsets.follow_body`). The rim of the mask, where the head's own picture gives way to
+its shadow and to tissue that move less, is left out. The head's four quarters are followed too: a real head tilts and
+is partly covered, and how much its quarters disagree is the error of the whole that noise does not explain. The method `paper` follows corners in the pillar's mask from
 frame to frame, as the published tool does, and takes the mean of their positions. Forces are made of this in `force`.
 
 Source: paper, "Pillar tracking"; the published tool's behaviour for `paper`.
@@ -12,16 +14,21 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy import ndimage
 
 from .axis import measure_axis
 from .config import Config
-from .data import Finding, Floats, Masks, Movie, PillarMotion, Pillars
-from .errors import CannotMeasure, NoPillars
+from .data import BodyMotion, Bools, Finding, Floats, Masks, Movie, PillarMotion, Pillars
+from .errors import CannotMeasure, MaskUnusable, NoPillars
 from .markers import place_markers
 from .pillar_masks import find_pillars
 from .subsets import follow_body
 from .track import track_markers
 
+RIM_SHARE = 0.06
+"""Width of the rim that does not count, as a share of the diameter of a circle of the mask's size."""
+FEWEST_INSIDE_PX = 200
+"""A mask of which less would be left keeps its rim."""
 LOST_SHARE = 0.2
 """A pillar that is missing in more than this share of the frames is for review."""
 
@@ -45,30 +52,69 @@ def measure_pillars(movie: Movie, masks: Masks, reference_frame: int,
     if len(pillars) == 0:
         return None, ()
     follow = _by_markers if config.method == "paper" else _as_bodies
-    shift, error, turn, lost = follow(movie, pillars, 0 if config.method == "paper" else reference_frame, config)
-    method = "markers" if config.method == "paper" else "body"
-    findings = (*pillars.findings, *lost, *_missing(shift, pillars))
+    motion = follow(movie, pillars, 0 if config.method == "paper" else reference_frame, config)
+    findings = (*pillars.findings, *motion.findings, *_missing(motion))
     if not wanted:
         findings = tuple(replace(finding, level="info") for finding in findings)
-    return PillarMotion(pillars, shift, error, turn, method, findings), ()
+    return replace(motion, findings=findings), ()
 
 
-def _as_bodies(movie: Movie, pillars: Pillars, reference_frame: int,
-               _: Config) -> tuple[Floats, Floats, Floats, list[Finding]]:
-    shift, error, turn, findings = _nothing(movie, pillars)
+def _as_bodies(movie: Movie, pillars: Pillars, reference_frame: int, _: Config) -> PillarMotion:
+    motion = _nothing(movie, pillars, "body")
+    findings = []
     for p, mask in enumerate(pillars.masks):
+        inside = without_rim(mask)
         try:
-            body = follow_body(movie, mask, reference_frame=reference_frame)
+            body = follow_body(movie, inside, reference_frame=reference_frame)
         except CannotMeasure as why:
             findings.append(_not_followed(pillars.names[p], why))
             continue
-        shift[:, p], error[:, p], turn[:, p] = body.translation_px, body.translation_se_px, body.rotation_deg
-    return shift, error, turn, findings
+        motion.shift_px[:, p], motion.shift_se_px[:, p] = body.translation_px, body.translation_se_px
+        motion.rotation_deg[:, p] = body.rotation_deg
+        motion.gain_se[p] = _disagreement(movie, inside, body)
+    return replace(motion, findings=tuple(findings))
 
 
-def _by_markers(movie: Movie, pillars: Pillars, reference_frame: int,
-                config: Config) -> tuple[Floats, Floats, Floats, list[Finding]]:
-    shift, error, turn, findings = _nothing(movie, pillars)
+def without_rim(mask: Bools) -> Bools:
+    """Leave the rim of a pillar's mask (R, C) out, where enough remains."""
+    width = round(RIM_SHARE * 2 * float(np.sqrt(mask.sum() / np.pi)))
+    inside = np.asarray(ndimage.binary_erosion(mask, iterations=width), bool) if width else mask
+    return inside if inside.sum() >= FEWEST_INSIDE_PX else mask
+
+
+def _disagreement(movie: Movie, mask: Bools, body: BodyMotion) -> float:
+    """Standard error of the body's motion as a share of it, by how differently the mask's quarters follow it; 0 for a
+    body that hardly moves or has no texture to tell."""
+    moved = body.translation_px - body.translation_px[body.reference_frame]
+    seen = np.isfinite(moved).all(axis=1)
+    if seen.sum() < 3 or not moved[seen].any():
+        return 0.0
+    direction = np.linalg.svd(moved[seen] - moved[seen].mean(axis=0), full_matrices=False)[2][0]
+    whole = moved @ direction
+    row, col = np.indices(mask.shape)
+    below, right = row > body.center_px[0], col > body.center_px[1]
+    gains = []
+    for quarter in (mask & a & b for a in (below, ~below) for b in (right, ~right)):
+        try:
+            part = follow_body(movie, quarter, reference_frame=body.reference_frame, model="translation")
+        except (CannotMeasure, MaskUnusable):
+            continue
+        along = part.translation_px @ direction - _turned(body, part.center_px) @ direction
+        both = seen & np.isfinite(along)
+        if both.sum() > 2 and np.ptp(whole[both]) > 0:
+            gains.append(float(np.polyfit(whole[both], along[both], 1)[0]))
+    return float(np.std(gains, ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else 0.0
+
+
+def _turned(body: BodyMotion, point_px: Floats) -> Floats:
+    """Movement (T, 2) that the body's rotation about its centre gives to a point (2,) of it."""
+    turn, arm = np.deg2rad(body.rotation_deg), point_px - body.center_px
+    return np.stack([turn * arm[1], -turn * arm[0]], axis=1)
+
+
+def _by_markers(movie: Movie, pillars: Pillars, reference_frame: int, config: Config) -> PillarMotion:
+    motion = _nothing(movie, pillars, "markers")
+    findings = []
     for p, mask in enumerate(pillars.masks):
         head = Masks(mask, measure_axis(mask), "supplied")
         try:
@@ -78,22 +124,24 @@ def _by_markers(movie: Movie, pillars: Pillars, reference_frame: int,
             findings.append(_not_followed(pillars.names[p], why))
             continue
         middle = tracks.position_px.mean(axis=1)
-        shift[:, p] = middle - middle[reference_frame]
-    return shift, error, turn, findings
+        motion.shift_px[:, p] = middle - middle[reference_frame]
+    return replace(motion, findings=tuple(findings))
 
 
-def _nothing(movie: Movie, pillars: Pillars) -> tuple[Floats, Floats, Floats, list[Finding]]:
+def _nothing(movie: Movie, pillars: Pillars, method: str) -> PillarMotion:
+    """A motion of NaN, to be filled in."""
     shape = (movie.count, len(pillars), 2)
-    return np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape[:2], np.nan), []
+    return PillarMotion(pillars, np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape[:2], np.nan),
+                        np.full(len(pillars), np.nan), method)
 
 
 def _not_followed(name: str, why: CannotMeasure) -> Finding:
     return Finding("pillar_not_followed", "review", f"Pillar {name} could not be followed, so it has no force: {why}")
 
 
-def _missing(shift: Floats, pillars: Pillars) -> list[Finding]:
+def _missing(motion: PillarMotion) -> list[Finding]:
     """Findings about pillars that are missing in part of the frames."""
-    gone = np.isnan(shift[..., 0])
+    gone = np.isnan(motion.shift_px[..., 0]).mean(axis=0)
     return [Finding("pillar_lost", "review", f"Pillar {name} was not found in {share:.0%} of the frames (limit "
                     f"{LOST_SHARE:.0%}): is something in front of it, or its mask beside it?", float(share), LOST_SHARE)
-            for name, share in zip(pillars.names, gone.mean(axis=0), strict=True) if LOST_SHARE < share < 1]
+            for name, share in zip(motion.pillars.names, gone, strict=True) if LOST_SHARE < share < 1]

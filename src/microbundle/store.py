@@ -56,7 +56,7 @@ DRAWS = {
 
 def save(analysis: Analysis, folder: Path | str, *, overwrite: bool = False,
          extra: Callable[[Path], None] | None = None) -> Path:
-    """Write a result folder: `result.nc` with everything, its settings included, and the tables as CSV.
+    """Write a result folder: `result.nc` with everything, its settings included, and the tables as CSV, but for empty ones.
 
     Returns the folder. `extra` may write more files into it before it appears. Raises OutputError where the folder
     cannot be written, or exists and is not empty; `overwrite` replaces an older result, but nothing else.
@@ -65,6 +65,8 @@ def save(analysis: Analysis, folder: Path | str, *, overwrite: bool = False,
         made = tables(analysis)
         save_netcdf(analysis, into / RESULT, made)
         for name, table in made.items():
+            if len(table.columns) == 0:  # no strain, no pillars
+                continue
             table.to_csv(into / f"{name}.csv", index=False, float_format="%.7g", lineterminator="\n")
         if extra is not None:
             extra(into)
@@ -177,6 +179,7 @@ def _to_dataset(a: Analysis) -> xr.Dataset:
         put("pillar_center", ("pillar", "axis"), m.pillars.center_px, "px", "middle of the mask")
         put("pillar_shift", ("frame", "pillar", "axis"), m.shift_px, "px", "movement from the reference frame")
         put("pillar_shift_se", ("frame", "pillar", "axis"), m.shift_se_px, "px", "standard error of pillar_shift")
+        put("pillar_gain_se", ("pillar",), m.gain_se, "1", "standard error of all motion, as a share of it")
         put("pillar_rotation", ("frame", "pillar"), m.rotation_deg, "degree", "rotation from the reference frame")
     coords: dict[str, Any] = {"axis": list(RC), "i": list(RC), "j": list(RC)}
     if a.strain is not None:
@@ -279,7 +282,7 @@ def _pillars(data: xr.Dataset, about: dict[str, Any] | None, findings: tuple[Fin
     heads = Pillars(tuple(data["pillar_mask"].values > 0), tuple(str(name) for name in data["pillar"].values),
                     data["pillar_center"].values, tuple(about["source"]), tuple(about["score"]))
     return PillarMotion(heads, data["pillar_shift"].values, data["pillar_shift_se"].values,
-                        data["pillar_rotation"].values, about["method"], findings)
+                        data["pillar_rotation"].values, data["pillar_gain_se"].values, about["method"], findings)
 
 
 def _finite(value: float) -> float | None:

@@ -160,11 +160,13 @@ def _moved(analysis: Analysis, markers: Floats, grid: Floats, resting: Bools) ->
 
 
 def _shifted(pillars: PillarMotion | None, rng: np.random.Generator) -> PillarMotion | None:
-    """The pillars' motion with errors drawn for each frame; what is common to all frames cancels in every force."""
+    """The pillars' motion with errors drawn for each frame, and of its gain; what is common to all frames cancels in
+    every force."""
     if pillars is None:
         return None
     error = rng.standard_normal(pillars.shift_px.shape) * np.nan_to_num(pillars.shift_se_px)
-    return replace(pillars, shift_px=pillars.shift_px + error)
+    gain = 1 + rng.standard_normal(len(pillars.pillars)) * np.nan_to_num(pillars.gain_se)
+    return replace(pillars, shift_px=gain[:, None] * pillars.shift_px + error)
 
 
 def _without_draws(field: Field | None) -> Field | None:
