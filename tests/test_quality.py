@@ -16,7 +16,7 @@ from microbundle.data import Beats, Finding, Movie, Tracks
 from microbundle.mask import find_masks
 from microbundle.pipeline import analyze
 from microbundle.quality import check_movie, repeats
-from microbundle.quality_result import check_result, opposite_halves, upstroke_frames
+from microbundle.quality_result import check_result, opposite_quarters, upstroke_frames
 from microbundle.synth import faults
 from microbundle.synth.cases import CLEAN_LARGE, Case, camera
 from microbundle.synth.scenes import Analytic
@@ -246,20 +246,20 @@ def test_subdomains_without_strain(tissue_analysis):
     assert judged(tissue_analysis, strain=every) == {"subdomains_without_strain": "review"}
 
 
-def test_opposite_halves():
+def test_opposite_quarters():
     rng = np.random.default_rng(0)
     points = rng.uniform([10, 20], [50, 60], (60, 2))
     corners = np.array([[10.0, 20], [10, 60], [50, 60], [50, 20]])
     x, y = points[:, 1] - 40, points[:, 0] - 30
 
     def along(u, noise=0.0):
-        return opposite_halves(points, np.stack([0 * u, u + noise * rng.standard_normal(len(u))], axis=1), corners)
+        return opposite_quarters(points, np.stack([0 * u, u + noise * rng.standard_normal(len(u))], axis=1), corners)
     assert along(0.02 * np.abs(x))  # one half shortens, the other lengthens
     assert along(0.02 * np.sign(y) * x)  # the same across
     assert not along(-0.03 * x)  # the displacement changes its sign, the strain does not
     assert not along(-0.03 * x + 0.005 * np.abs(x))
     assert not along(0.0 * x, noise=0.3)
-    assert not opposite_halves(points[:3], points[:3], corners)
+    assert not opposite_quarters(points[:3], points[:3], corners)
 
 
 def test_paper_says_that_a_movie_starts_contracted(tissue_analysis):

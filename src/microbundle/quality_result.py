@@ -27,12 +27,13 @@ RESIDUAL = 0.2
 FRAMES_A_BEAT, FRAMES_UP = 8.0, 3.0
 FOOT = 0.1
 """Share of a beat's height at which its upstroke begins."""
-UNEVEN = 0.2
+UNEVEN, ROUNDING_FRAMES = 0.2, 2
+"""Longest against shortest time between beats, as a share of the usual, beyond what whole frames make of even ones."""
 MOST_WITHOUT_STRAIN = 0.5
-FEWEST_IN_HALF = 6
+FEWEST_IN_QUARTER = 6
 SMALLEST_STRAIN, SMALLER_SHARE, CLEARLY = 0.005, 0.25, 4.0
-"""Two halves of a sub-domain deform in opposite ways where the smaller strain exceeds all of: this strain, this share
-of the larger one, and this many of its standard errors."""
+"""Two quarters of a sub-domain deform in opposite ways where the smaller strain exceeds all of: this strain, this share
+of the largest one, and this many of its standard errors."""
 
 
 def check_result(movie: Movie, masks: Masks, tracks: Tracks, beats: Beats, strain: Strain | None,
@@ -107,9 +108,9 @@ def _focus_with_beat(movie: Movie, masks: Masks, beats: Beats) -> Finding | None
 
 
 def _misses(tracks: Tracks) -> Finding | None:
-    if tracks.forward_backward_px is None or not tracks.kept.any():
+    if tracks.forward_backward_px is None or len(tracks.forward_backward_px) == 0:
         return None
-    miss = float(np.median(tracks.forward_backward_px[tracks.kept]))
+    miss = float(np.median(tracks.forward_backward_px))
     if not miss > MISSES_PX:
         return None
     return Finding("forward_backward", "review", f"tracking to a frame and back misses the start by {miss:.2g} px for "
@@ -164,11 +165,11 @@ def _rhythm(beats: Beats) -> Finding | None:
     between = np.diff(beats.peak[beats.complete])
     if len(between) < 2:
         return None
-    away = float(np.abs(between / np.median(between) - 1).max())
-    if not away > UNEVEN:
+    away = float(np.ptp(between) / np.median(between))
+    if not away > UNEVEN or np.ptp(between) <= ROUNDING_FRAMES:
         return None
-    return Finding("irregular_beats", "info", f"the time between beats differs by up to {away:.0%} from the usual "
-                   f"(limit {UNEVEN:.0%}): the tissue beats irregularly, or a beat was missed. Look at the trace", away,
+    return Finding("irregular_beats", "info", f"the times between beats differ by {away:.0%} of the usual (limit "
+                   f"{UNEVEN:.0%}): the tissue beats irregularly, or a beat was missed. Look at the trace", away,
                    UNEVEN)
 
 
@@ -192,7 +193,7 @@ def _sign_change(tracks: Tracks, beats: Beats, strain: Strain | None) -> Finding
     seen = known(moved).any(axis=0)
     rest, moved = rest[seen], np.nanmedian(moved[:, seen], axis=0)
     mixed = [label for label, corners, reason in zip(strain.label, strain.corner_px, strain.reason, strict=True)
-             if not reason and opposite_halves(rest, moved, corners)]
+             if not reason and opposite_quarters(rest, moved, corners)]
     if not mixed:
         return None
     return Finding("sign_change", "info", f"part of the sub-domain{'s' * (len(mixed) > 1)} {', '.join(mixed[:6])}"
@@ -201,8 +202,8 @@ def _sign_change(tracks: Tracks, beats: Beats, strain: Strain | None) -> Finding
                    "(strain.tile_px)", float(len(mixed)), 0.0)
 
 
-def opposite_halves(points_px: Floats, displacement_px: Floats, corners_px: Floats) -> bool:
-    """Tell whether two halves of a sub-domain, along the tissue or across it, deform along the tissue in opposite ways.
+def opposite_quarters(points_px: Floats, displacement_px: Floats, corners_px: Floats) -> bool:
+    """Tell whether two quarters of a sub-domain deform along the tissue in clearly opposite ways.
 
     Points (N, 2) with displacements (N, 2) count where they lie in the sub-domain of the corners (4, 2).
     """
@@ -211,18 +212,17 @@ def opposite_halves(points_px: Floats, displacement_px: Floats, corners_px: Floa
     x, y = (points_px - corners_px[0]) @ along / length, (points_px - corners_px[0]) @ across / width
     inside = (x >= 0) & (x < length) & (y >= 0) & (y < width)
     x, y, u = x[inside], y[inside], displacement_px[inside] @ along / length
-    for halves in ((x < length / 2, x >= length / 2), (y < width / 2, y >= width / 2)):
-        (one, error), (other, other_error) = (_slope(x[half], u[half]) for half in halves)
-        small, its_error = min((abs(one), error), (abs(other), other_error))
-        if one * other < 0 and small > max(SMALLEST_STRAIN, SMALLER_SHARE * max(abs(one), abs(other)),
-                                           CLEARLY * its_error):
-            return True
-    return False
+    quarters = [(x < length / 2) == left for left in (True, False)]
+    quarters = [half & ((y < width / 2) == upper) for half in quarters for upper in (True, False)]
+    slope, error = np.array([_slope(x[quarter], u[quarter]) for quarter in quarters]).T
+    least = max(SMALLEST_STRAIN, SMALLER_SHARE * float(np.abs(slope).max()))
+    clear = np.abs(slope) > np.maximum(CLEARLY * error, least)
+    return bool((slope[clear] > 0).any() and (slope[clear] < 0).any())
 
 
 def _slope(x: Floats, u: Floats) -> tuple[float, float]:
     """Slope of u (n,) over x (n,) and its standard error; 0 where there are too few points."""
-    if len(x) < FEWEST_IN_HALF or np.ptp(x) == 0:
+    if len(x) < FEWEST_IN_QUARTER or np.ptp(x) == 0:
         return 0.0, np.inf
     dx = x - x.mean()
     spread = float((dx * dx).sum())
