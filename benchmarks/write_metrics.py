@@ -4,10 +4,12 @@ from pathlib import Path
 
 from microbundle.dictionary import METRICS, Metric, columns
 
-LEVELS = {"movie": "Per movie (`summary.csv`)", "beat": "Per beat, by the mean absolute displacement (`beats.csv`; over "
-          "the whole beats in `summary.csv`)",
-          "shortening": "Per beat, by the tissue's shortening (`shortening.csv`; over the whole beats in `summary.csv`)",
-          "subdomain": "Per sub-domain and beat (`subdomains.csv`)", "frame": "Per frame (`frames.csv`)"}
+LEVELS = {"movie": "Per movie (`summary.csv`)",
+          "beat": "Per beat, by the mean absolute displacement (`beats.csv`; over the whole beats in `summary.csv`)",
+          "shortening": "Per beat, by the tissue's length (`shortening.csv`; over the whole beats in `summary.csv`)",
+          "subdomain": "Per sub-domain and beat (`subdomains.csv`)", "pillar": "Per pillar and beat (`pillars.csv`)",
+          "trace": "Per beat of a second signal (`microbundle trace`)", "frame": "Per frame (`frames.csv`)",
+          "pillar_frame": "Per pillar and frame (`pillar_frames.csv`)"}
 
 
 def units(metric: Metric) -> str:

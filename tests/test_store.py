@@ -116,6 +116,9 @@ def test_plain_xarray_opens_it_with_units(saved: Path) -> None:
 
 def test_tables_are_plain_csv(tissue_analysis: Analysis, saved: Path) -> None:
     for name, table in tables(tissue_analysis).items():
+        if len(table.columns) == 0:  # no pillars here
+            assert not (saved / f"{name}.csv").exists()
+            continue
         raw = (saved / f"{name}.csv").read_bytes()
         assert b"\r" not in raw
         read = pd.read_csv(saved / f"{name}.csv")

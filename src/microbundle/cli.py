@@ -18,6 +18,8 @@ app = App(name="microbundle", help="Displacement, strain and beat metrics from m
           version_flags=["--version"], help_format="plaintext", default_parameter=Parameter(negative_iterable=()),
           suppress_keyboard_interrupt=False)
 app.command("microbundle.commands:analyze", name="analyze", help="Measure one movie and write a folder of results.")
+app.command("microbundle.commands:trace", name="trace", help="Measure the beats of a trace, such as calcium, and the "
+            "delay of the contraction.")
 app.command("microbundle.commands:export", name="export", help="Write a result in another layout.")
 app.command("microbundle.commands:demo", name="demo", help="Render a small beating tissue with known motion, analyze "
             "it, and print what was measured beside the truth.")

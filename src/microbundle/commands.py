@@ -28,6 +28,7 @@ Switch = Annotated[bool, Parameter(negative="")]
 
 def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, tissue_mask: Path | None = None,
             config_file: Annotated[Path | None, Parameter(name="--config")] = None,
+            stiffness_un_per_um: float | None = None,
             config: Annotated[Config | None, Parameter(name="*")] = None,
             quiet: Switch = False, json: Switch = False) -> int:
     """Measure one movie and write a folder of results.
@@ -44,11 +45,17 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
         Mask of the tissue: text of 0/1, PNG, TIFF, or a polygon as CSV (row,col) or JSON.
     config_file
         TOML file of settings; flags win over it.
+    stiffness_un_per_um
+        Stiffness of a pillar, in uN/um: gives forces. The same as --pillars.stiffness-un-per-um.
     quiet
         Print nothing but errors.
     json
         Print one JSON object instead of the table, for scripts.
     """
+    if stiffness_un_per_um is not None:
+        given = {"pillars": {"stiffness_un_per_um": stiffness_un_per_um}}
+        below = config.model_dump(exclude_unset=True) if config is not None else {}
+        config = Config.from_dict(merge(below, given), source="command line")
     settings = settings_from(config_file, config)
     from .folder import check_free
     from .pipeline import analyze as run
@@ -63,6 +70,58 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
         folder = save(analysis, folder, overwrite=overwrite)
     report(analysis, folder, quiet=quiet, json=json)
     return VERDICT_FAIL if analysis.verdict == "fail" else 0
+
+
+def trace(file: Path, *, fps: float | None = None, inverted: Switch = False, result: Path | None = None,
+          out: Path | None = None, json: Switch = False) -> int:
+    """Measure the beats of a trace, such as calcium or voltage, and the delay of the contraction.
+
+    Parameters
+    ----------
+    file
+        Table with a column time_s and one of values (or one column and --fps), or a second channel's movie, of which
+        the mean over the tissue's mask is taken (needs --result).
+    fps
+        Values or frames per second, where the file has no times.
+    inverted
+        Beats are dips.
+    result
+        Result of `microbundle analyze` that the trace belongs to: both start at the same time.
+    out
+        New CSV file for the table.
+    json
+        Print one JSON object instead of the table.
+    """
+    from .errors import OutputError
+    from .store import load
+    from .trace import cut_trace, mean_trace, read_trace, trace_table
+
+    analysis = None if result is None else load(result)
+    if analysis is not None and (file.is_dir() or file.suffix.lower() in (".tif", ".tiff")):
+        from .read import calibrated, read_movie
+
+        time_s, value = mean_trace(calibrated(read_movie(file), fps, None), analysis.masks.tissue)
+    else:
+        time_s, value = read_trace(file, fps=fps)
+    found = cut_trace(file.stem, time_s, value, inverted=inverted)
+    table = trace_table(found, analysis)
+    if out is not None:
+        try:
+            with out.open("x", encoding="utf-8", newline="") as stream:
+                table.to_csv(stream, index=False, float_format="%.7g", lineterminator="\n")
+        except OSError as error:
+            raise OutputError(f"{out}: expected a new file for the table: {error.strerror or error}") from None
+    whole = table[table["complete"]] if len(table) else table
+    means = {str(name): float(whole[name].mean()) for name in whole.columns if name not in ("beat", "complete")}
+    if json:
+        print_json({"name": found.name, "beats": len(whole), "metrics": means,
+                    "findings": [vars(f) for f in found.findings]})
+        return 0
+    rows = [(name, _number(value)) for name, value in means.items() if "_se" not in name]
+    print_rows(f"{found.name}: {len(whole)} whole beats", ("metric", "mean"), rows)
+    for finding in found.findings:
+        print(f"{finding.level}: {finding.message}")
+    return 0
 
 
 def export(result: Path, *, out: Path, layout: str = "paper", overwrite: Switch = False, quiet: Switch = False) -> int:
@@ -161,7 +220,7 @@ def _shown(analysis: Analysis) -> list[str]:
     length = "um" if analysis.um_per_px is not None else "px"
     timed = analysis.time_s is not None
     return [f"tissue_width_{length}", f"beat_period_{'s' if timed else 'frames'}", "beat_rate_bpm",
-            f"amplitude_{length}", "e_cc_peak", "e_cc_min", f"synchrony_sd_{'s' if timed else 'frames'}"]
+            f"amplitude_{length}", f"cd50_{'s' if timed else 'frames'}", "twitch_force_un", "e_cc_peak", "e_cc_min", f"synchrony_sd_{'s' if timed else 'frames'}"]
 
 
 def print_rows(title: str, header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:

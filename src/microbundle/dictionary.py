@@ -151,6 +151,12 @@ METRICS: tuple[Metric, ...] = (
            "the mean of its two neighbours, without sign.", "alternans ratio"),
     Metric("alternans_null", NUMBER, "movie", "Value of alternans when the order of the amplitudes is random (mean of "
            "200).", error=False),
+    Metric("delay_range", TIME, "movie", "Difference between the latest and the earliest sub-domain's mean delay; "
+           "0 below half a frame."),
+    Metric("conduction_velocity", VELOCITY, "movie", "Speed of the straight front that fits the delays best; from 100 "
+           "frames/s on, and where it stands out of its error.", "CV"),
+    Metric("conduction_angle", ANGLE, "movie", "Direction in which the front travels, from the col axis of the tissue, "
+           "positive towards +row."),
     Metric("beat_period", TIME, "beat", "Time from this beat's peak to the next beat's peak.", "RR, peak-to-peak"),
     Metric("beat_rate", RATE, "beat", "1 / beat_period.", "frequency"),
     Metric("beat_rate", PER_MINUTE, "beat", "60 / beat_period in seconds.", "beats per minute"),
@@ -184,7 +190,8 @@ METRICS: tuple[Metric, ...] = (
     Metric("markers", NUMBER, "subdomain", "Markers in the sub-domain.", error=False),
     Metric("E_cc_extreme", NUMBER, "subdomain", "E_cc of largest size within the beat, with its sign."),
     *_of_signal("subdomain"),
-    Metric("delay", TIME, "subdomain", "E_cc_half_rise_time less its median over the sub-domains that shorten."),
+    Metric("delay", TIME, "subdomain", "E_cc_half_rise_time less its median over the "
+           "sub-domains that shorten; empty where all delays lie within half a frame, which cannot be told."),
     *(Metric(f"{tensor}_{part}", NUMBER, "subdomain", f"{name} component {part} at the beat's peak frame.")
       for tensor, name in (("F", "Deformation gradient"), ("E", "Green-Lagrange strain"))
       for part in (("rr", "rc", "cr", "cc") if tensor == "F" else ("rr", "rc", "cc"))),
@@ -221,6 +228,10 @@ METRICS: tuple[Metric, ...] = (
     Metric("pillar_force", FORCE, "pillar_frame", "Force along the pillar's own motion, positive in contraction."),
     Metric("pillar_rotation", ANGLE, "pillar_frame", "Rotation of the pillar's head since the reference frame, "
            "clockwise.", error=False),
+    *_of_signal("trace"),
+    Metric("trace_period", TIME, "trace", "Time from this beat's peak to the next one's, of the trace."),
+    *(Metric(f"contraction_delay_{mark}", TIME, "trace", f"From the trace's {mark} to that of the contraction nearest "
+             "to it, within half a period.", error=False) for mark in ("onset", "half_rise", "peak")),
     Metric("mean_absolute_displacement", LENGTH, "frame", "Mean over markers of the distance from the movie's relaxed "
            "state."),
     Metric("mean_absolute_displacement_corrected", LENGTH, "frame", "mean_absolute_displacement less what noise adds "
@@ -230,6 +241,10 @@ METRICS: tuple[Metric, ...] = (
            "fractional shortening"),
     Metric("time", TIME, "frame", "Time of the frame.", error=False),
 )
+
+BY_KEY: dict[str, tuple[Metric, ...]] = {metric.key: tuple(m for m in METRICS if m.key == metric.key)
+                                         for metric in METRICS}
+"""Entries of each key; a rate has two, in Hz and in beats per minute."""
 
 IDENTITY = ("beat", "frame", "subdomain", "pillar", "complete", "relaxed", "start_frame", "peak_frame", "stop_frame",
             "reason")

@@ -1,9 +1,10 @@
 """Forces of the pillars, in uN, from their deflection and stiffness; stress, work and loops of the tissue.
 
-A pillar is an elastic beam, clamped at its base: F = k d with k = 6 E I / (a^2 (3 L - a)), where E is Young's modulus, L
-the pillar's height, a the height at which the tissue pulls, and I = w t^3 / 12 for a rectangle of width w and thickness
-t (in the direction of bending) or pi D^4 / 64 for a circle; k may be given instead. The deflection d counts from the
-relaxed state of the same beats as the tissue's, joined by straight lines from rest to rest, so that drift is no force.
+A pillar is an elastic beam, clamped at its base: F = k d with k = 6 E I / (a^2 (3 L - a)), where E is Young's modulus,
+L the pillar's height, a the height at which the tissue pulls, and I = w t^3 / 12 for a rectangle of width w and
+thickness t (in the direction of bending) or pi D^4 / 64 for a circle; k may be given instead. The deflection d counts
+from the relaxed state of the same beats as the tissue's, joined by straight lines from rest to rest, so that drift is
+no force.
 
 Times are in frames, so that speeds and areas are per frame until `metrics` puts units to them. Source: paper, "Pillar
 force"; S. Timoshenko, Strength of Materials (a cantilever with a load at a).
@@ -20,7 +21,7 @@ from .analysis import Analysis
 from .config import PillarParams
 from .data import Bools, Floats
 from .dictionary import Level
-from .numbers import clock, end_distance, shapes_of
+from .numbers import clock, duty, end_distance, shapes_of
 
 KPA = 1e3
 """kPa in a uN/um2 (a MPa)."""
@@ -119,6 +120,7 @@ def pillar_values(analysis: Analysis) -> dict[str, Floats]:
         return {}
     force = found.along_px * found.un_per_px
     shape = shapes_of(analysis, found.along_px, "pillar")
+    shape |= duty(shape, "pillar")
     scaled = ("amplitude", "contraction_velocity", "relaxation_velocity", "mean_contraction_velocity", "area")
     deflection = shape["force_amplitude"].copy()
     for name in scaled:
@@ -199,7 +201,8 @@ def tissue_force_values(analysis: Analysis, pillars: Mapping[str, Floats]) -> di
 
 
 def loop_areas(analysis: Analysis, x: Floats, y: Floats) -> Floats:
-    """Area (B,) that the curve y over x encloses in each whole beat: the integral of y dx, the ends joined by a straight
+    """Area (B,) that the curve y over x encloses in each whole beat: the integral of y dx, the ends joined by a
+    straight
     line. Positive where y is larger while x grows. Between frames both are cubic splines in time."""
     from scipy.interpolate import make_interp_spline
 
@@ -231,7 +234,8 @@ def budget(analysis: Analysis, values: Mapping[Level, Mapping[str, Floats]],
     quantities = [(f"force_amplitude of pillar {name}", values["pillar"]["force_amplitude"][whole, p],
                    errors.get("pillar.force_amplitude", np.full(len(motion.pillars), np.nan))[p], given)
                   for p, name in enumerate(motion.pillars.names)]
-    quantities.append(("twitch_force", values["beat"]["twitch_force"][whole], errors.get("twitch_force", np.nan), given))
+    quantities.append(("twitch_force", values["beat"]["twitch_force"][whole], errors.get("twitch_force", np.nan),
+                       given))
     if "stress_ellipse" in values["beat"]:
         # The pixel size is in the force once and in the width once, so that it cancels in the stress.
         only = {"stiffness": params.stiffness_error_pct, "depth": params.depth_error_pct}

@@ -13,7 +13,7 @@ import numpy as np
 
 from .analysis import Analysis
 from .data import Bools, Floats
-from .dictionary import METRICS, Level, columns
+from .dictionary import BY_KEY, Level, columns
 from .draws import COUNT as DRAWS
 from .force import budget, pillar_series, pillar_values, tissue_force_values
 from .numbers import (
@@ -22,12 +22,14 @@ from .numbers import (
     beat_values,
     clock,
     drift_px,
+    front_values,
     rhythm_values,
     seconds_per_frame,
     shortening,
     shortening_values,
     subdomain_values,
 )
+from .propagation import speed
 from .uncertainty import added_by_noise, standard_errors
 
 if TYPE_CHECKING:
@@ -44,9 +46,9 @@ def tables(analysis: Analysis) -> dict[str, pd.DataFrame]:
     over whole beats); `beats` a row for each beat, by the mean absolute displacement, and `shortening` by the tissue's
     length; `subdomains` a row for each sub-domain and beat, `frames` for each frame, `strain` for each sub-domain and
     frame. `pillars` has a row for each pillar and beat, `pillar_frames` for each pillar and frame, and `budget` the
-    sources of the forces' errors; all three are empty without pillars. Lengths are given in px, and in um too where the pixel size is known; times in frames, or in seconds where
-    the frame times are known. Standard errors (`_se`) are those of the measurement, for results of the method
-    `accurate`.
+    sources of the forces' errors; all three are empty without pillars. Lengths are given in px, and in um too where the
+    pixel size is known; times in frames, or in seconds where the frame times are known. Standard errors (`_se`) are
+    those of the measurement, for results of the method `accurate`.
     """
     import pandas as pd
 
@@ -83,7 +85,7 @@ def _with_errors(analysis: Analysis) -> dict[str, Floats]:
             for name, values in levels[level].items()}
     out |= {f"mean.pillar.{name}": _mean_of_known(values[whole]) for name, values in levels["pillar"].items()}
     movie = {"drift": np.array(drift_px(analysis)), "baseline_drift": np.array(baseline_drift(analysis)),
-             **rhythm_values(analysis, levels["beat"], nulls=False)}
+             **rhythm_values(analysis, levels["beat"], nulls=False), **_front(analysis, levels)}
     out |= {f"mean.{name}": value for name, value in movie.items()}
     frames = {"mean_absolute_displacement": analysis.beats.signal_px, "shortening": shortening(analysis)}
     out |= {f"frame.{name}": value for name, value in frames.items()}
@@ -102,9 +104,6 @@ def _written(analysis: Analysis, values: Mapping[str, Any], errors: Mapping[str,
             if errors and key in errors and metric.error:
                 out |= {name: errors[key] * factor for name, factor in columns(metric, *calibration, error=True)}
     return out
-
-
-BY_KEY = {metric.key: [m for m in METRICS if m.key == metric.key] for metric in METRICS}
 
 
 def _at(values: Mapping[str, Floats], index: Any) -> dict[str, Any]:
@@ -204,6 +203,7 @@ def _summary(analysis: Analysis, values: Mapping[Level, Mapping[str, Floats]],
         "tissue_width_min_at": axis.width_min_at_px, "tissue_area": float(analysis.masks.tissue.sum()),
         "tissue_angle": axis.angle_deg, "lost_fraction": analysis.tracks.lost_fraction, "drift": drift_px(analysis),
         "baseline_drift": baseline_drift(analysis), **rhythm_values(analysis, dict(values["beat"])),
+        **_told(_front(analysis, values), error),
     }
     rows = [_row(name, np.atleast_1d(value), se, single=True)
             for name, value, se in _with_column_errors(analysis, single, error)]
@@ -211,6 +211,21 @@ def _summary(analysis: Analysis, values: Mapping[Level, Mapping[str, Floats]],
     rows += [_row(name, value, se) for name, value, se in _with_column_errors(analysis, over, error)]
     return pd.DataFrame(rows, columns=["metric", "n", "mean", "se", "sd", "cv", "median", "low_95", "high_95",
                                        "interval"])
+
+
+def _front(analysis: Analysis, values: Mapping[Level, Mapping[str, Floats]]) -> dict[str, Floats]:
+    return front_values(analysis, values["subdomain"]["delay"]) if "delay" in values["subdomain"] else {}
+
+
+def _told(front: Mapping[str, Floats], error: dict[str, Floats]) -> dict[str, Any]:
+    """The metrics of a front, whose slowness becomes a speed where it stands out of its error; `error` gets theirs."""
+    if not front:
+        return {}
+    parts = ("slowness_across", "slowness_along")
+    slowness, wrong = (np.array([float(found.get(part, np.nan)) for part in parts]) for found in (front, error))
+    velocity, angle, velocity_se, angle_se = speed(slowness, wrong)
+    error |= {"conduction_velocity": np.array(velocity_se), "conduction_angle": np.array(angle_se)}
+    return {"delay_range": front["delay_range"], "conduction_velocity": velocity, "conduction_angle": angle}
 
 
 def _with_column_errors(analysis: Analysis, values: Mapping[str, Any],

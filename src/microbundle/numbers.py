@@ -12,6 +12,8 @@ from .analysis import Analysis
 from .contraction import mean_absolute
 from .data import Floats, Ints, Strain, known
 from .dictionary import PREFIX, Level
+from .geometry import to_tissue
+from .propagation import delays, front
 from .waveform import beat_shapes, vertex
 
 SHUFFLES = 200
@@ -19,8 +21,6 @@ SEED = 20240
 """Of the shuffles that give the values by chance alone, so that a result can be repeated."""
 END_SHARE = 0.1
 """Share of the markers on each side that is an end of the tissue."""
-CLEAR_SHARE = 0.25
-"""A sub-domain has a delay where its strain is at least this share of the largest."""
 
 
 def seconds_per_frame(analysis: Analysis) -> float | None:
@@ -112,10 +112,10 @@ def shortening_values(analysis: Analysis) -> dict[str, Floats]:
     """Compute the metrics of each beat's shortening: name -> (B,)."""
     found = shapes_of(analysis, shortening(analysis)[:, None], "shortening")
     out = {name: values[:, 0] for name, values in found.items()}
-    return out | _duty(out, "shortening")
+    return out | duty(out, "shortening")
 
 
-def _duty(shape: dict[str, Floats], level: Level) -> dict[str, Floats]:
+def duty(shape: dict[str, Floats], level: Level) -> dict[str, Floats]:
     """The share of the period that a beat lasts at half its height, by the signal's own period; periods run along the
     first axis."""
     prefix = PREFIX[level]
@@ -208,7 +208,7 @@ def subdomain_values(analysis: Analysis) -> dict[str, Floats]:
     # A sub-domain contracts or is stretched; as a beat it is measured with the sign that it has in most beats.
     sign = np.where(np.nan_to_num(extreme).sum(axis=0) > 0, 1.0, -1.0)
     shape = shapes_of(analysis, sign * E_cc, "subdomain")
-    shape |= _duty(shape, "subdomain")
+    shape |= duty(shape, "subdomain")
     for name in ("amplitude", "contraction_velocity", "relaxation_velocity", "mean_contraction_velocity", "area"):
         shape[f"E_cc_{name}"] = shape[f"E_cc_{name}"] * sign
     parts = {"rr": (0, 0), "rc": (0, 1), "cr": (1, 0), "cc": (1, 1)}
@@ -226,16 +226,14 @@ def subdomain_values(analysis: Analysis) -> dict[str, Floats]:
     return out
 
 
-def delays(half_rise_time: Floats, extreme: Floats) -> Floats:
-    """Time (B, S) by which each sub-domain contracts later than the middle one; NaN where it hardly shortens."""
-    if not np.isfinite(extreme).any():
-        return np.full(extreme.shape, np.nan)
-    clear = extreme < CLEAR_SHARE * np.nanmin(extreme)
-    late = np.where(clear, half_rise_time, np.nan)
-    out = np.full(late.shape, np.nan)
-    for b in np.flatnonzero(np.isfinite(late).any(axis=1)):
-        out[b] = late[b] - np.nanmedian(late[b])
-    return out
+def front_values(analysis: Analysis, delay: Floats) -> dict[str, Floats]:
+    """Compute how the contraction travels over the sub-domains from their delays (B, S), of the whole beats."""
+    if analysis.strain is None:
+        return {}
+    step = seconds_per_frame(analysis)
+    axis = analysis.masks.axis
+    center = to_tissue(analysis.strain.corner_px.mean(axis=1), axis.center_px, axis.direction)
+    return front(delay[analysis.beats.complete], center, None if step is None else 1 / step)
 
 
 def rhythm_values(analysis: Analysis, beats: dict[str, Floats], *, nulls: bool = True) -> dict[str, Floats]:

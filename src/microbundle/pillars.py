@@ -3,8 +3,9 @@
 A head is a rigid body: it is registered as one, by translation and rotation, against the reference frame and then
 against the mean of all frames (`subsets.follow_body`). The rim of the mask, where the head's own picture gives way to
 its shadow and to tissue that move less, is left out. The head's four quarters are followed too: a real head tilts and
-is partly covered, and how much its quarters disagree is the error of the whole that noise does not explain. The method `paper` follows corners in the pillar's mask from
-frame to frame, as the published tool does, and takes the mean of their positions. Forces are made of this in `force`.
+is partly covered, and how much its quarters disagree is the error of the whole that noise does not explain. The method
+`paper` follows corners in the pillar's mask from frame to frame, as the published tool does, and takes the mean of
+their positions. Forces are made of this in `force`.
 
 Source: paper, "Pillar tracking"; the published tool's behaviour for `paper`.
 """
@@ -38,8 +39,8 @@ def measure_pillars(movie: Movie, masks: Masks, reference_frame: int,
     """Find the pillars of a movie and follow them, from the reference frame to all others.
 
     Where no pillar can be told, there is no motion but a finding that says why. What is found of pillars is for review
-    where a stiffness shows that forces are wanted, else for information. Raises MaskUnusable for supplied masks that cannot be used, and NoPillars
-    where only supplied masks are allowed and none came.
+    where a stiffness shows that forces are wanted, else for information. Raises MaskUnusable for supplied masks that
+    cannot be used, and NoPillars where only supplied masks are allowed and none came.
     """
     params = config.pillars
     wanted = params.stiffness_un_per_um is not None or params.modulus_mpa is not None

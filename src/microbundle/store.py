@@ -56,7 +56,8 @@ DRAWS = {
 
 def save(analysis: Analysis, folder: Path | str, *, overwrite: bool = False,
          extra: Callable[[Path], None] | None = None) -> Path:
-    """Write a result folder: `result.nc` with everything, its settings included, and the tables as CSV, but for empty ones.
+    """Write a result folder: `result.nc` with everything, its settings included, and the tables as CSV, but for empty
+    ones.
 
     Returns the folder. `extra` may write more files into it before it appears. Raises OutputError where the folder
     cannot be written, or exists and is not empty; `overwrite` replaces an older result, but nothing else.
