@@ -311,22 +311,20 @@ def test_the_paper_method_on_the_real_movie(data_folder: Path, elsewhere: Path, 
     assert sorted(p.name for p in elsewhere.iterdir()) == ["r"]
 
 
-def test_a_trace_is_measured_from_the_command_line(tmp_path, capsys):
+def test_a_trace_is_measured_from_the_command_line(tmp_path: Path, capsys: Captured) -> None:
     t = np.arange(400) / 100
     value = 100 * (1 + 0.3 * np.clip(np.sin(2 * np.pi * t / 0.8), 0, None) ** 2)
     np.savetxt(tmp_path / "calcium.csv", np.stack([t, value], axis=1), delimiter=",", header="time_s,F", comments="")
-    assert run(["trace", str(tmp_path / "calcium.csv"), "--out", str(tmp_path / "beats.csv"), "--json"]) == 0
+    assert cli.run(["trace", str(tmp_path / "calcium.csv"), "--out", str(tmp_path / "beats.csv"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["beats"] >= 4
     assert found["metrics"]["trace_amplitude"] == pytest.approx(0.3, rel=0.03)
     assert "trace_cd50_s" in (tmp_path / "beats.csv").read_text().splitlines()[0]
-    assert run(["trace", str(tmp_path / "calcium.csv"), "--out", str(tmp_path / "beats.csv")]) == 6
+    assert cli.run(["trace", str(tmp_path / "calcium.csv"), "--out", str(tmp_path / "beats.csv")]) == 6
 
 
-def test_stiffness_is_a_flag(tissue_folder, tmp_path, capsys):
+def test_stiffness_is_a_flag(tissue_folder: Path, tmp_path: Path, capsys: Captured) -> None:
     line = ["analyze", str(tissue_folder), "--stiffness-un-per-um", "2.677", "--out", str(tmp_path / "r"), "--json"]
-    assert run([*line, "--fps", "30"]) == 0
+    assert cli.run([*line, "--fps", "30"]) == 0
     assert json.loads(capsys.readouterr().out)["findings"]
-    from microbundle import load
-
     assert load(tmp_path / "r").config.pillars.stiffness_un_per_um == 2.677

@@ -14,6 +14,7 @@ from .events import Progress, Tell, ignore, stage
 from .grid import interpolate_grid
 from .markers import place_markers
 from .mask import find_masks
+from .pillars import measure_pillars
 from .quality import check_movie
 from .quality_result import check_result
 from .read import calibrated, content_hash, prepare
@@ -46,7 +47,9 @@ def analyze(movie: Movie, config: Config | None = None, *, masks: Masks | None =
     reference_frame = find_relaxed_frame(movie, masks, config)
     markers = place_markers(movie, masks, reference_frame, config)
     follow = register if config.method == "accurate" else track_markers
-    tracks = follow(movie, masks, markers, config, stage(tell, "tracking", 0.25, 0.9))
+    tracks = follow(movie, masks, markers, config, stage(tell, "tracking", 0.25, 0.85))
+    stage(tell, "following the pillars", 0.85, 0.9)
+    pillars, no_pillars = measure_pillars(movie, masks, reference_frame, config)
     stage(tell, "beats and strain", 0.9, 1.0)
     beats = find_beats(tracks, masks, movie, config)
     background = None if config.method == "paper" else measure_stage(movie, masks, reference_frame)
@@ -58,11 +61,11 @@ def analyze(movie: Movie, config: Config | None = None, *, masks: Masks | None =
         name=movie.name, image=movie.frames[reference_frame], time_s=movie.time_s, time_source=movie.time_source,
         um_per_px=movie.um_per_px, um_per_px_source=movie.um_per_px_source, config=config, masks=masks,
         markers=markers, tracks=tracks, beats=beats, grid=grid, strain=strain,
-        movie_findings=(*movie.findings, *check_movie(movie, masks, config.method), *no_strain,
+        movie_findings=(*movie.findings, *check_movie(movie, masks, config.method), *no_strain, *no_pillars,
                         *stage_finding(background, beats),
                         *check_result(movie, masks, tracks, beats, strain, config.method)),
         files=tuple(str(file) for file in movie.files), input_hash=content_hash(movie), versions=_versions(),
-        stage_px=None if background is None else background.shift_px,
+        stage_px=None if background is None else background.shift_px, pillars=pillars,
     )
 
 
