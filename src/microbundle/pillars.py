@@ -18,11 +18,12 @@ import numpy as np
 from scipy import ndimage
 
 from .axis import measure_axis
-from .config import Config
+from .config import Config, Reading
 from .data import BodyMotion, Bools, Finding, Floats, Masks, Movie, PillarMotion, Pillars
 from .errors import CannotMeasure, MaskUnusable, NoPillars
 from .markers import place_markers
 from .pillar_masks import find_pillars
+from .prepare import Prepared
 from .subsets import follow_body
 from .track import track_markers
 
@@ -30,6 +31,8 @@ RIM_SHARE = 0.06
 """Width of the rim that does not count, as a share of the diameter of a circle of the mask's size."""
 FEWEST_INSIDE_PX = 200
 """A mask of which less would be left keeps its rim."""
+MOST_FRAMES = 40
+"""Frames in which the quarters are followed."""
 LOST_SHARE = 0.2
 """A pillar that is missing in more than this share of the frames is for review."""
 
@@ -86,7 +89,12 @@ def without_rim(mask: Bools) -> Bools:
 def _disagreement(movie: Movie, mask: Bools, body: BodyMotion) -> float:
     """Standard error of the body's motion as a share of it, by how differently the mask's quarters follow it; 0 for a
     body that hardly moves or has no texture to tell."""
-    moved = body.translation_px - body.translation_px[body.reference_frame]
+    every = np.linspace(0, movie.count - 1, min(movie.count, MOST_FRAMES)).astype(int)
+    frames = np.unique(np.append(every, body.reference_frame))
+    reference = int(np.searchsorted(frames, body.reference_frame))
+    some = replace(movie, frames=Prepared(movie.frames, frames, (0, movie.shape[0], 0, movie.shape[1]), Reading()),
+                   time_s=None)
+    moved = body.translation_px[frames] - body.translation_px[body.reference_frame]
     seen = np.isfinite(moved).all(axis=1)
     if seen.sum() < 3 or not moved[seen].any():
         return 0.0
@@ -97,10 +105,10 @@ def _disagreement(movie: Movie, mask: Bools, body: BodyMotion) -> float:
     gains = []
     for quarter in (mask & a & b for a in (below, ~below) for b in (right, ~right)):
         try:
-            part = follow_body(movie, quarter, reference_frame=body.reference_frame, model="translation")
+            part = follow_body(some, quarter, reference_frame=reference, model="translation")
         except (CannotMeasure, MaskUnusable):
             continue
-        along = part.translation_px @ direction - _turned(body, part.center_px) @ direction
+        along = (part.translation_px - _turned(body, part.center_px)[frames]) @ direction
         both = seen & np.isfinite(along)
         if both.sum() > 2 and np.ptp(whole[both]) > 0:
             gains.append(float(np.polyfit(whole[both], along[both], 1)[0]))
