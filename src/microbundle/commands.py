@@ -220,7 +220,8 @@ def _shown(analysis: Analysis) -> list[str]:
     length = "um" if analysis.um_per_px is not None else "px"
     timed = analysis.time_s is not None
     return [f"tissue_width_{length}", f"beat_period_{'s' if timed else 'frames'}", "beat_rate_bpm",
-            f"amplitude_{length}", f"cd50_{'s' if timed else 'frames'}", "twitch_force_un", "e_cc_peak", "e_cc_min", f"synchrony_sd_{'s' if timed else 'frames'}"]
+            f"amplitude_{length}", f"cd50_{'s' if timed else 'frames'}", "twitch_force_un", "e_cc_peak", "e_cc_min",
+            f"synchrony_sd_{'s' if timed else 'frames'}"]
 
 
 def print_rows(title: str, header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
