@@ -123,6 +123,16 @@ def test_constant_frames_have_no_grey_levels_and_repeat_nothing(good, dtype, val
     assert {f.key for f in found} == {"few_grey_levels", "saturated"}
 
 
+def test_blank_frames_and_other_pictures(good):
+    movie, masks = good
+    array = np.stack([movie.frames[t] for t in range(movie.count)])
+    array[[0, 20, 21, 22]] = 3000
+    array[30] = array[30, ::-1, ::-1]
+    found = levels(check_movie(Movie.from_array(array, fps=30, um_per_px=4), masks))
+    assert "blurred" not in found
+    assert "repeated_frames" in found
+
+
 def test_tissue_at_the_border_or_all_over_or_tiny(good):
     movie, masks = good
     for part in (np.s_[:, :], np.s_[:60, :], np.s_[-50:, -90:], np.s_[40:52, 80:92]):

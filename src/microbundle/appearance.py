@@ -50,8 +50,8 @@ class Texture:
     noise: Floats
     """(waves,): power of either frame that they do not."""
     sharpness_of_parts: Floats
-    """(parts,): the sharpness of each quarter of the movie, as it is in the sharper frames; for tissue may leave the
-    focus with every beat, and motion blurs too."""
+    """(parts,): the sharpness of each quarter of the movie that shows anything, as it is in the sharper frames; for
+    tissue may leave the focus with every beat, and motion blurs too."""
 
     @property
     def sharpness(self) -> float:
@@ -170,8 +170,10 @@ def _texture(pairs: list[tuple[int, Floats, Floats]], count: int) -> Texture | N
     part_of = np.array([min(PARTS * t // count, PARTS - 1) for t, *_ in pairs])
     shared, noise = (np.array([pair[i] for pair in pairs]) for i in (1, 2))
     sharpness = np.array([_fine(power) for power in shared])
-    of_parts = [float(np.quantile(sharpness[part_of == part], SHARPER)) for part in np.unique(part_of)]
-    moved = noise[:, COARSE].sum(axis=1) / np.maximum(shared[:, COARSE].sum(axis=1), 1e-300)
+    shows = np.isfinite(sharpness)  # a blank frame shows nothing
+    of_parts = [float(np.quantile(sharpness[shows & (part_of == part)], SHARPER)) for part in np.unique(part_of[shows])]
+    common, differs = shared[:, COARSE].sum(axis=1), noise[:, COARSE].sum(axis=1)
+    moved = np.divide(differs, common, out=np.full(len(pairs), np.inf), where=common > 0)
     calm = np.argsort(moved)[:-(-len(pairs) // 2)]
     return Texture(shared[calm].mean(axis=0), noise[calm].mean(axis=0), np.array(of_parts))
 

@@ -64,8 +64,10 @@ def _focus_drift(seen: Appearance) -> Finding | None:
     if seen.texture is None or seen.texture.contrast_to_noise < TELLING:
         return None
     parts = seen.texture.sharpness_of_parts
-    change = float(np.ptp(parts) / parts.mean()) if parts.mean() > 0 else 0.0
-    if len(parts) < 2 or not change > FOCUS_CHANGE:
+    if len(parts) < 2 or not parts.mean() > 0:
+        return None
+    change = float(np.ptp(parts) / parts.mean())
+    if not change > FOCUS_CHANGE:
         return None
     return Finding("focus_drift", "review", f"the sharpness of the tissue changes by {change:.0%} over the movie "
                    f"(limit {FOCUS_CHANGE:.0%}): the focus drifts, and later displacements are less exact. Let the "
