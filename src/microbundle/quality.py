@@ -16,7 +16,7 @@ from .data import Bools, Finding, Floats, Level, Masks, Movie
 from .prepare import stands_out
 
 SHARP = 0.06
-"""Share of the texture's power in details finer than 6.4 px: 0.24 to 0.36 in sharp tissues, 0.03 to 0.06 after a blur
+"""Share of the texture's power in details finer than 6.4 px: 0.19 to 0.36 in sharp tissues, 0.03 to 0.06 after a blur
 of 1.5 px."""
 FOCUS_CHANGE = 0.15
 """Between quarters of a movie, as a share of its sharpness: below 0.05 in good movies."""
