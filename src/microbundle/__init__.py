@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .analysis import Analysis
+    from .compat import compat_columns
     from .config import Config
     from .data import Movie
     from .errors import (
@@ -36,10 +37,12 @@ if TYPE_CHECKING:
     from .store import load, save
     from .subsets import follow_body, follow_points
     from .uncertainty import alternatives, displacement_error_at, standard_errors
+    from .workbook import write_workbook
 
 _HOME = {
-    "Analysis": "analysis", "Config": "config", "Movie": "data", "analyze": "pipeline", "export_paper": "paper_layout",
-    "load": "store", "read_mask": "mask_files", "read_movie": "read", "save": "store", "tables": "metrics",
+    "Analysis": "analysis", "Config": "config", "Movie": "data", "analyze": "pipeline", "compat_columns": "compat",
+    "export_paper": "paper_layout", "load": "store", "read_mask": "mask_files", "read_movie": "read", "save": "store",
+    "tables": "metrics", "write_workbook": "workbook",
     **dict.fromkeys(("follow_body", "follow_points"), "subsets"),
     **dict.fromkeys(("alternatives", "displacement_error_at", "standard_errors"), "uncertainty"),
     **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ConfigError", "MaskUnusable", "MicrobundleError",
@@ -66,6 +69,7 @@ __all__ = [
     "__version__",
     "alternatives",
     "analyze",
+    "compat_columns",
     "displacement_error_at",
     "export_paper",
     "follow_body",
@@ -76,6 +80,7 @@ __all__ = [
     "save",
     "standard_errors",
     "tables",
+    "write_workbook",
 ]
 
 

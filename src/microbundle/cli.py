@@ -6,6 +6,7 @@ cannot be read; 5 movie cannot be measured; 6 results cannot be written; 130 int
 
 from __future__ import annotations
 
+import os
 import sys
 
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnusedCliTokensError
@@ -20,6 +21,8 @@ app = App(name="microbundle", help="Displacement, strain and beat metrics from m
 app.command("microbundle.commands:analyze", name="analyze", help="Measure one movie and write a folder of results.")
 app.command("microbundle.commands:trace", name="trace", help="Measure the beats of a trace, such as calcium, and the "
             "delay of the contraction.")
+app.command("microbundle.commands:metrics", name="metrics", help="Print the dictionary of metrics: every key with its "
+            "unit and definition, or all about one.")
 app.command("microbundle.commands:export", name="export", help="Write a result in another layout.")
 app.command("microbundle.commands:demo", name="demo", help="Render a small beating tissue with known motion, analyze "
             "it, and print what was measured beside the truth.")
@@ -42,7 +45,12 @@ def run(arguments: list[str]) -> int:
     _silence_libraries()
     try:
         code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
         return code if isinstance(code, int) else 0
+    except BrokenPipeError:
+        # Who reads the output, such as `head`, wants no more of it; Python would complain once more at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except MicrobundleError as error:
         return _fail(str(error), type(error).__name__, error.exit_code, as_json)
     except CycloptsError as error:

@@ -5,22 +5,20 @@ They are loaded when one is run or asked for help, so that `microbundle --help` 
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from .compat_definitions import ToolName
 from .config import Config, merge, read_toml
+from .console import number, print_json, print_rows, progress_bar
 from .errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from contextlib import AbstractContextManager
+    import pandas as pd
 
     from .analysis import Analysis
-    from .events import Tell
 
 VERDICT_FAIL = 3
 Switch = Annotated[bool, Parameter(negative="")]
@@ -28,7 +26,7 @@ Switch = Annotated[bool, Parameter(negative="")]
 
 def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, tissue_mask: Path | None = None,
             config_file: Annotated[Path | None, Parameter(name="--config")] = None,
-            stiffness_un_per_um: float | None = None,
+            stiffness_un_per_um: float | None = None, excel: Switch = False, compat: tuple[ToolName, ...] = (),
             config: Annotated[Config | None, Parameter(name="*")] = None,
             quiet: Switch = False, json: Switch = False) -> int:
     """Measure one movie and write a folder of results.
@@ -47,6 +45,10 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
         TOML file of settings; flags win over it.
     stiffness_un_per_um
         Stiffness of a pillar, in uN/um: gives forces. The same as --pillars.stiffness-un-per-um.
+    excel
+        Also write one workbook, results.xlsx, with all tables, findings and settings (needs the extra `excel`).
+    compat
+        Also write the beats in the columns and definitions of another tool; may be given more than once.
     quiet
         Print nothing but errors.
     json
@@ -57,18 +59,28 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
         below = config.model_dump(exclude_unset=True) if config is not None else {}
         config = Config.from_dict(merge(below, given), source="command line")
     settings = settings_from(config_file, config)
+    from .compat import compat_columns
     from .folder import check_free
+    from .metrics import tables
     from .pipeline import analyze as run
     from .read import read_movie
     from .store import KIND, save
+    from .workbook import NAME, check_writer, write_workbook
 
+    if excel:
+        check_writer()
     with progress_bar(quiet or json) as tell:
         opened = read_movie(movie, tissue_mask=tissue_mask)
         folder = out or Path(f"{opened.name}_microbundle")
         check_free(folder, KIND, overwrite)
         analysis = run(opened, settings, tell=tell)
-        folder = save(analysis, folder, overwrite=overwrite)
-    report(analysis, folder, quiet=quiet, json=json)
+        made = tables(analysis) | {f"compat_{tool}": compat_columns(analysis, tool) for tool in compat}
+
+        def book(into: Path) -> None:
+            write_workbook(analysis, into / NAME, made)
+
+        folder = save(analysis, folder, overwrite=overwrite, made=made, extra=book if excel else None)
+    report(analysis, made["summary"], folder, quiet=quiet, json=json)
     return VERDICT_FAIL if analysis.verdict == "fail" else 0
 
 
@@ -117,10 +129,32 @@ def trace(file: Path, *, fps: float | None = None, inverted: Switch = False, res
         print_json({"name": found.name, "beats": len(whole), "metrics": means,
                     "findings": [vars(f) for f in found.findings]})
         return 0
-    rows = [(name, _number(value)) for name, value in means.items() if "_se" not in name]
+    rows = [(name, number(value)) for name, value in means.items() if "_se" not in name]
     print_rows(f"{found.name}: {len(whole)} whole beats", ("metric", "mean"), rows)
     for finding in found.findings:
         print(f"{finding.level}: {finding.message}")
+    return 0
+
+
+def metrics(key: str | None = None, /, *, json: Switch = False) -> int:
+    """Print the dictionary of metrics: every key with its unit and definition, or all about one.
+
+    Parameters
+    ----------
+    key
+        A key such as amplitude, or a column such as amplitude_um.
+    json
+        Print one JSON object.
+    """
+    from .dictionary import METRICS
+    from .lookup import as_dict, entries, entry_lines, list_lines
+
+    found = METRICS if key is None else entries(key)
+    if json:
+        print_json({"metrics": [as_dict(metric) for metric in found]})
+        return 0
+    lines = list_lines() if key is None else (line for metric in found for line in entry_lines(metric))
+    print("\n".join(lines))
     return 0
 
 
@@ -188,11 +222,8 @@ def settings_from(config_file: Path | None, flags: Config | None) -> Config:
     return Config.from_dict(merge(below, above), source=f"command line with {config_file}")
 
 
-def report(analysis: Analysis, folder: Path, *, quiet: bool, json: bool) -> None:
-    """Print the short table of a result, or its JSON, and its findings."""
-    from .metrics import tables
-
-    summary = tables(analysis)["summary"]
+def report(analysis: Analysis, summary: pd.DataFrame, folder: Path, *, quiet: bool, json: bool) -> None:
+    """Print the short table of a result from its summary, or its JSON, and its findings."""
     if json:
         metrics = {str(row["metric"]): {k: row[k] for k in ("n", "mean", "sd", "low_95", "high_95")}
                    for _, row in summary.iterrows()}
@@ -205,7 +236,7 @@ def report(analysis: Analysis, folder: Path, *, quiet: bool, json: bool) -> None
     if quiet:
         return
     shown = summary[summary["metric"].isin(_shown(analysis))]
-    rows = [(str(r["metric"]), _number(r["mean"]), _number(r["sd"]), str(int(r["n"]))) for _, r in shown.iterrows()]
+    rows = [(str(r["metric"]), number(r["mean"]), number(r["sd"]), str(int(r["n"]))) for _, r in shown.iterrows()]
     print_rows(f"{analysis.name}: {analysis.verdict}", ("metric", "mean", "sd", "n"), rows)
     for finding in analysis.findings:
         print(f"{finding.level}: {finding.message}")
@@ -222,64 +253,3 @@ def _shown(analysis: Analysis) -> list[str]:
     return [f"tissue_width_{length}", f"beat_period_{'s' if timed else 'frames'}", "beat_rate_bpm",
             f"amplitude_{length}", f"cd50_{'s' if timed else 'frames'}", "twitch_force_un", "e_cc_peak", "e_cc_min",
             f"synchrony_sd_{'s' if timed else 'frames'}"]
-
-
-def print_rows(title: str, header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
-    """Print a small table."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left")
-    for i, name in enumerate(header):
-        table.add_column(name, justify="left" if i == 0 else "right")
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
-
-
-def print_json(content: dict[str, Any]) -> None:
-    """Print one JSON object; what is not a number becomes null."""
-    import json
-    import math
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {str(k): plain(v) for k, v in value.items()}
-        if isinstance(value, list | tuple):
-            return [plain(v) for v in value]
-        if hasattr(value, "item"):
-            value = value.item()
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
-    print(json.dumps(plain(content)))
-
-
-def _number(value: float) -> str:
-    return "" if value != value else f"{value:.4g}"
-
-
-def progress_bar(silent: bool) -> AbstractContextManager[Tell]:
-    """Show the stage and the time left on the error stream, while the block runs."""
-    from contextlib import contextmanager
-
-    from .events import Progress, ignore
-
-    @contextmanager
-    def bar() -> Iterator[Tell]:
-        if silent or not sys.stderr.isatty():
-            yield ignore
-            return
-        from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-        from rich.progress import Progress as Bar
-
-        columns = TextColumn("{task.description:<24}"), BarColumn(), TimeRemainingColumn(compact=True)
-        with Bar(*columns, console=Console(stderr=True), transient=True) as shown:
-            task = shown.add_task("reading", total=1.0)
-
-            def tell(event: Progress) -> None:
-                shown.update(task, description=event.stage, completed=event.share)
-
-            yield tell
-
-    return bar()

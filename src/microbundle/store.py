@@ -55,17 +55,18 @@ DRAWS = {
 
 
 def save(analysis: Analysis, folder: Path | str, *, overwrite: bool = False,
-         extra: Callable[[Path], None] | None = None) -> Path:
+         extra: Callable[[Path], None] | None = None, made: Mapping[str, pd.DataFrame] | None = None) -> Path:
     """Write a result folder: `result.nc` with everything, its settings included, and the tables as CSV, but for empty
     ones.
 
-    Returns the folder. `extra` may write more files into it before it appears. Raises OutputError where the folder
+    Returns the folder. `made` are the tables of `microbundle.tables`, where they are at hand, and any others to write
+    beside them; `extra` may write more files into the folder before it appears. Raises OutputError where the folder
     cannot be written, or exists and is not empty; `overwrite` replaces an older result, but nothing else.
     """
     def write(into: Path) -> None:
-        made = tables(analysis)
-        save_netcdf(analysis, into / RESULT, made)
-        for name, table in made.items():
+        written = tables(analysis) if made is None else made
+        save_netcdf(analysis, into / RESULT, written)
+        for name, table in written.items():
             if len(table.columns) == 0:  # no strain, no pillars
                 continue
             table.to_csv(into / f"{name}.csv", index=False, float_format="%.7g", lineterminator="\n")

@@ -131,8 +131,8 @@ def validate(*, cases: str = "frontier", method: Method = "accurate", workers: i
     quiet
         Print nothing but errors.
     """
-    from ..commands import print_rows
     from ..config import Config
+    from ..console import print_rows
     from .cases import case_set
     from .microscope import texture_cases
     from .validate import Row, run_validation
@@ -196,7 +196,7 @@ def compare_clicks(result: Path, clicks: Path, *, out: Path | None = None, quiet
     json
         Print JSON instead of the table.
     """
-    from ..commands import print_json, print_rows
+    from ..console import print_json, print_rows
     from ..store import load
     from .manual import compare_clicks as compare
     from .manual import read_clicks, table
