@@ -36,7 +36,11 @@ EXAMPLES: dict[str, Any] = {
     "mask.method": "sobel", "tracking.window_px": 31, "tracking.reference_frame": 3, "grid.method": "thin_plate",
     "grid.extrapolate": True, "registration.whiten": "never",
     "registration.threads": 1, "strain.tiles": [3, 5], "strain.extents_px": [10.0, 50.0, 10.0, 90.0],
-    "pillars.masks": "supplied", "metrics.levels_pct": [20, 80], "metrics.pacing_hz": 1.5, "metrics.fibre_deg": -12.0,
+    "pillars.masks": "supplied", "pillars.profile": "circle", "pillars.unloaded_px": [[10.0, 20.0], [30.0, 40.0]],
+    **{f"pillars.{name}": 2.5 for name in (
+        "stiffness_un_per_um", "stiffness_error_pct", "modulus_mpa", "width_um", "thickness_um", "diameter_um",
+        "length_um", "force_height_um", "depth_um", "depth_error_pct", "um_per_px_error_pct")},
+    "metrics.levels_pct": [20, 80], "metrics.pacing_hz": 1.5, "metrics.fibre_deg": -12.0,
 }
 
 
