@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import openpyxl
 import pytest
 import tifffile
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ from microbundle import cli, pipeline
 from microbundle.analysis import Analysis
 from microbundle.config import Config
 from microbundle.data import Movie
+from microbundle.dictionary import METRICS
+from microbundle.lookup import LEVELS
 from microbundle.read import calibrated
 from microbundle.store import load
 
@@ -149,6 +152,62 @@ def test_a_still_movie_is_written_with_exit_code_3(tissue_array: Image, elsewher
     assert any(f.level == "fail" and f.message in out for f in load(elsewhere / "still_microbundle").findings)
 
 
+@pytest.mark.usefixtures("measured")
+def test_excel_and_other_tools_columns_come_beside(movie: Path, elsewhere: Path,
+                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("microbundle.store.tables", lambda _: pytest.fail("the tables were computed again"))
+    assert cli.run(["analyze", str(movie), "--fps", "30", "--excel", "--compat", "pulse3d", "--compat", "musclemotion",
+                    "--out", "r", "--quiet"]) == 0
+    assert {"results.xlsx", "compat_pulse3d.csv", "compat_musclemotion.csv"} <= {p.name for p in Path("r").iterdir()}
+    sheets = openpyxl.load_workbook(elsewhere / "r" / "results.xlsx").sheetnames
+    assert {"summary", "quality", "settings", "compat_pulse3d", "compat_musclemotion"} <= set(sheets)
+    header = (elsewhere / "r" / "compat_pulse3d.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header.startswith("beat,pillar,complete,signal,Twitch Period (seconds)")
+
+
+def test_without_the_writer_excel_fails_before_the_work(movie: Path, capsys: Captured,
+                                                        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline, "analyze", lambda *_, **__: pytest.fail("the work was begun"))
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    assert 'pip install "microbundle[excel]"' in fails(["analyze", str(movie), "--excel"], 2, capsys)
+
+
+# --- metrics --------------------------------------------------------------------------------------------------------
+
+
+def test_metrics_lists_every_key_by_level(capsys: Captured) -> None:
+    assert cli.run(["metrics"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert {metric.key for metric in METRICS} == {line.split()[0] for line in lines if line.startswith("  ")}
+    assert {metric.level for metric in METRICS} == set(LEVELS)
+    assert [line for line in lines if line and not line.startswith(" ")] == [f"{t} ({f})" for t, f in LEVELS.values()]
+
+
+@pytest.mark.parametrize("name", ["amplitude", "amplitude_um", "amplitude_px", "amplitude_se_um"])
+def test_metrics_tells_all_about_a_key_or_column(name: str, capsys: Captured) -> None:
+    assert cli.run(["metrics", name]) == 0
+    out = capsys.readouterr().out
+    for words in ("amplitude\n", "px and um; px without calibration", "beats.csv, and over the whole beats summary.csv",
+                  "amplitude_se_px, amplitude_se_um, se in summary.csv", "MUSCLEMOTION", "Kobeissi"):
+        assert words in out
+
+
+def test_metrics_in_json(capsys: Captured) -> None:
+    assert cli.run(["metrics", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["metrics"]) == len(METRICS)
+    assert cli.run(["metrics", "beat_rate", "--json"]) == 0
+    first, second = json.loads(capsys.readouterr().out)["metrics"]
+    assert (first["units_uncalibrated"], first["units_calibrated"]) == (["per_frame"], ["hz"])
+    assert (second["units_uncalibrated"], second["units_calibrated"]) == ([], ["bpm"])
+    assert first["standard_error"] is True
+
+
+def test_an_unknown_metric_is_exit_code_2_and_named_with_near_ones(capsys: Captured) -> None:
+    assert "found 'amplitud'. Near: amplitude" in fails(["metrics", "amplitud"], 2, capsys)
+    assert "conduction_velocity" in fails(["metrics", "velocity"], 2, capsys)
+    assert "lists them all" in fails(["metrics", "xxxxxx"], 2, capsys)
+
+
 # --- failures -------------------------------------------------------------------------------------------------------
 
 
@@ -166,6 +225,7 @@ def test_a_still_movie_is_written_with_exit_code_3(tissue_array: Image, elsewher
     (["analyze", "m", "--strain.tiles", "3"], "parameter --strain.tiles requires 2"),
     (["analyze", "m", "--reading.crop-px", "9", "1", "0", "5"], "must be first row < end row"),
     (["analyze", "m", "--config", "nothing.toml"], "nothing.toml: expected a readable TOML file"),
+    (["analyze", "m", "--compat", "musclemotio"], 'for --compat. Choose from: "musclemotion"'),
     (["export", "r", "--out", "e", "--layout", "excel"], "--layout: expected paper; found 'excel'"),
 ])
 def test_a_wrong_command_line_is_exit_code_2(arguments: list[str], said: str, capsys: Captured) -> None:

@@ -66,6 +66,11 @@ def test_help_of_a_command_loads_no_science() -> None:
     assert loaded.isdisjoint(set(HEAVY) - {"pydantic"})
 
 
+def test_the_dictionary_loads_no_science() -> None:
+    loaded = loaded_by("from microbundle.cli import run; run(['metrics', 'amplitude'])")
+    assert loaded.isdisjoint(set(HEAVY) - {"pydantic"})
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="the CPU time of a child is not told on Windows")
 @pytest.mark.parametrize("code", ["import microbundle", "from microbundle.cli import run; run(['--help'])"])
 def test_start_takes_little_cpu(code: str, tmp_path: Path) -> None:

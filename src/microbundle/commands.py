@@ -26,7 +26,7 @@ Switch = Annotated[bool, Parameter(negative="")]
 
 def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, tissue_mask: Path | None = None,
             config_file: Annotated[Path | None, Parameter(name="--config")] = None,
-            stiffness_un_per_um: float | None = None, excel: Switch = False, compat: tuple[ToolName, ...] = (),
+            stiffness_un_per_um: float | None = None, excel: Switch = False, compat: list[ToolName] | None = None,
             config: Annotated[Config | None, Parameter(name="*")] = None,
             quiet: Switch = False, json: Switch = False) -> int:
     """Measure one movie and write a folder of results.
@@ -74,7 +74,7 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
         folder = out or Path(f"{opened.name}_microbundle")
         check_free(folder, KIND, overwrite)
         analysis = run(opened, settings, tell=tell)
-        made = tables(analysis) | {f"compat_{tool}": compat_columns(analysis, tool) for tool in compat}
+        made = tables(analysis) | {f"compat_{tool}": compat_columns(analysis, tool) for tool in compat or ()}
 
         def book(into: Path) -> None:
             write_workbook(analysis, into / NAME, made)
