@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -188,10 +187,3 @@ def test_every_definition_is_computed_and_every_key_exists() -> None:
             assert column.difference
             for ours in column.ours.split(", "):
                 assert not ours.isidentifier() or ours in BY_KEY or ours in IDENTITY, ours
-
-
-def test_the_docs_are_written_from_the_program() -> None:
-    page = (Path(__file__).parent.parent / "docs" / "compat.md").read_text(encoding="utf-8")
-    for tool in TOOLS.values():
-        assert tool.source in page
-        assert all(column.definition in page for column in tool.columns)

@@ -120,7 +120,7 @@ def _pulse3d(trace: Trace) -> Named:
     amplitude = height.mean(axis=0)
     most = float(np.nanmax(amplitude)) if usable.any() else np.nan
     uneven = np.full(count, np.nan)
-    uneven[1:-1] = np.abs(np.diff(np.diff(top)))
+    uneven[1:-1] = np.abs(np.diff(np.diff(top))).round(9)  # frames are even but for rounding
     widths = {f"Twitch Width {x} ({{time}})": fall[x] - rise[x] for x in TENS}
     up = {f"Time From Contraction {x} to Peak ({{time}})": top - rise[100 - x] for x in (10, 50, 90)}
     down = {f"Time From Peak to Relaxation {x} ({{time}})": fall[x] - top for x in (10, 50, 90)}
