@@ -7,6 +7,7 @@ files in it (`microbundle.json`); only a folder that holds such a list, and noth
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -76,6 +77,57 @@ def check_free(folder: Path | str, kind: str, overwrite: bool = False) -> Path:
         raise OutputError(f"{folder}: holds {kind} already. Replace them with --overwrite, or choose another folder "
                           "with --out")
     return folder
+
+
+def write_file(file: Path, content: str, *, mark: str, overwrite: bool = False) -> Path:
+    """Write a file whole or not at all, and list it where it comes into a folder that we wrote; returns its full path.
+
+    With `overwrite` an older file is replaced, but only one that holds `mark` near its start. Raises OutputError where
+    the file exists and may not be replaced, or cannot be written; nothing is left then.
+    """
+    file = Path(file).expanduser()
+    partial = None
+    try:
+        file = file.resolve()
+        if file.exists():
+            _check_ours(file, mark, overwrite)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        handle, partial = tempfile.mkstemp(prefix=f".{file.name}.partial-", dir=file.parent)
+        with open(handle, "w", encoding="utf-8", newline="\n") as stream:
+            stream.write(content)
+        Path(partial).chmod(0o644)
+        os.replace(partial, file)
+        partial = None
+        _add_to_list(file)
+    except (OSError, RuntimeError) as error:  # a loop of links is a RuntimeError
+        raise OutputError(f"{file}: the file cannot be written: {getattr(error, 'strerror', None) or error}") from None
+    finally:
+        if partial is not None:
+            Path(partial).unlink(missing_ok=True)
+    return file
+
+
+def _check_ours(file: Path, mark: str, overwrite: bool) -> None:
+    if not file.is_file():
+        raise OutputError(f"{file}: expected a new file; there is a folder of that name. Choose another with --out")
+    with file.open("rb") as stream:
+        start = stream.read(4096)
+    if mark.encode() not in start:
+        raise OutputError(f"{file}: expected a new file; there is another file, which is never replaced. Choose "
+                          "another with --out")
+    if not overwrite:
+        raise OutputError(f"{file}: exists already. Replace it with --overwrite, or choose another with --out")
+
+
+def _add_to_list(file: Path) -> None:
+    """Add a file to the list of the folder that it lies in, so that the folder can still be replaced as a whole."""
+    old_kind, ours = _listed(file.parent)
+    if not old_kind or file.name in ours:
+        return
+    listed = {"kind": old_kind, "files": sorted(ours - {LIST} | {file.name})}
+    partial = file.parent / f".{LIST}.partial"
+    partial.write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
+    partial.replace(file.parent / LIST)
 
 
 def _listed(folder: Path) -> tuple[str, set[str]]:
