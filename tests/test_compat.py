@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
+from scipy.signal import peak_widths
 
-from microbundle import ConfigError, compat_columns, tables
+from microbundle import ConfigError, analyze, compat_columns, read_movie, tables
 from microbundle.analysis import Analysis
 from microbundle.compat import NUMBERS, SIGNALS
 from microbundle.compat_definitions import TOOLS, ToolName, names
@@ -187,3 +189,21 @@ def test_every_definition_is_computed_and_every_key_exists() -> None:
             assert column.difference
             for ours in column.ours.split(", "):
                 assert not ours.isidentifier() or ours in BY_KEY or ours in IDENTITY, ours
+
+
+def test_pillartrack_gives_the_published_tools_numbers(data_folder: Path, golden_folder: Path) -> None:
+    """On the movie and pillar masks that come with the tool, tracked as it tracks."""
+    golden = np.load(golden_folder / "mbc_pillar.npz")
+    movie = read_movie(data_folder / "type1_bright", fps=30, um_per_px=4)
+    settings = {"method": "paper", "reading": {"stop_frame": 100}, "pillars": {"stiffness_un_per_um": 2.677}}
+    found = compat_columns(analyze(movie, Config.from_dict(settings)), "pillartrack")
+    for name, rows in found.groupby("pillar"):
+        theirs = golden[f"pillar{name}_abs_disp"]
+        whole = rows.dropna()
+        assert len(whole) >= 2
+        peaks = whole["beat_peaks"].to_numpy(int)
+        t50, t80 = (peak_widths(theirs, peaks, share)[0] / 30 for share in (0.5, 0.8))
+        np.testing.assert_allclose(whole["t50 (s)"], t50, rtol=0.005)
+        np.testing.assert_allclose(whole["t80 (s)"], t80, rtol=0.005)
+        force = golden[f"pillar{name}_force_abs"][peaks]
+        np.testing.assert_allclose(whole["pillar_force_abs (uN)"], force, rtol=0.005)
