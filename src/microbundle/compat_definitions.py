@@ -153,8 +153,8 @@ TOOLS: dict[str, Tool] = {
         "MicroBundlePillarTrack", "Kobeissi et al., microPubl. Biol. (2024), doi 10.17912/micropub.biology.001231; "
         "pillar_analysis.py", "Length of a pillar's mean displacement: there from the first frame, after cutting the "
         "movie to begin in a valley; here from the relaxed reference frame, with drift, without splitting into beats. "
-        "One row for each pillar; no rows without pillars. On a real movie, tracked as published (`--method paper`), times "
-        "and force are those of the published tracks to 0.5 %.", ("s", "s", "Hz"), (
+        "One row for each pillar; no rows without pillars. On a real movie, tracked as published (`--method paper`), "
+        "times and force are those of the published tracks to 0.5 %.", ("s", "s", "Hz"), (
             Column("beat_peaks", "Frame of the peak.", "peak_frame", "ours is the tissue's"),
             Column("t50 ({time})", "Width at half of the prominence, between frames.", "force_cd50", TO_PROMINENCE),
             Column("t80 ({time})", "Width at 80 % of the prominence below the peak.", "force_cd80", TO_PROMINENCE),
