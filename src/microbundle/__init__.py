@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from .paper_layout import export_paper
     from .pipeline import analyze
     from .read import read_movie
+    from .report import write_index, write_report
     from .store import load, save
     from .subsets import follow_body, follow_points
     from .uncertainty import alternatives, displacement_error_at, standard_errors
@@ -43,6 +44,7 @@ _HOME = {
     "Analysis": "analysis", "Config": "config", "Movie": "data", "analyze": "pipeline", "compat_columns": "compat",
     "export_paper": "paper_layout", "load": "store", "read_mask": "mask_files", "read_movie": "read", "save": "store",
     "tables": "metrics", "write_workbook": "workbook",
+    **dict.fromkeys(("write_index", "write_report"), "report"),
     **dict.fromkeys(("follow_body", "follow_points"), "subsets"),
     **dict.fromkeys(("alternatives", "displacement_error_at", "standard_errors"), "uncertainty"),
     **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ConfigError", "MaskUnusable", "MicrobundleError",
@@ -80,6 +82,8 @@ __all__ = [
     "save",
     "standard_errors",
     "tables",
+    "write_index",
+    "write_report",
     "write_workbook",
 ]
 

@@ -24,6 +24,8 @@ app.command("microbundle.commands:trace", name="trace", help="Measure the beats 
 app.command("microbundle.commands:metrics", name="metrics", help="Print the dictionary of metrics: every key with its "
             "unit and definition, or all about one.")
 app.command("microbundle.commands:export", name="export", help="Write a result in another layout.")
+app.command("microbundle.commands:report", name="report", help="Write the report of a result again, from its result "
+            "file alone.")
 app.command("microbundle.commands:demo", name="demo", help="Render a small beating tissue with known motion, analyze "
             "it, and print what was measured beside the truth.")
 app.command("microbundle.synth.commands:simulate", name="simulate", help="Render a movie with exactly known motion, in "

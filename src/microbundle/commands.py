@@ -27,7 +27,7 @@ Switch = Annotated[bool, Parameter(negative="")]
 def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, tissue_mask: Path | None = None,
             config_file: Annotated[Path | None, Parameter(name="--config")] = None,
             stiffness_un_per_um: float | None = None, excel: Switch = False, compat: list[ToolName] | None = None,
-            config: Annotated[Config | None, Parameter(name="*")] = None,
+            report: bool = True, config: Annotated[Config | None, Parameter(name="*")] = None,
             quiet: Switch = False, json: Switch = False) -> int:
     """Measure one movie and write a folder of results.
 
@@ -49,6 +49,8 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
         Also write one workbook, results.xlsx, with all tables, findings and settings (needs the extra `excel`).
     compat
         Also write the beats in the columns and definitions of another tool; may be given more than once.
+    report
+        Write report.html, a page with everything to look at, which opens in any browser.
     quiet
         Print nothing but errors.
     json
@@ -64,6 +66,8 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
     from .metrics import tables
     from .pipeline import analyze as run
     from .read import read_movie
+    from .report import NAME as PAGE
+    from .report import write_report
     from .store import KIND, save
     from .workbook import NAME, check_writer, write_workbook
 
@@ -76,11 +80,14 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
         analysis = run(opened, settings, tell=tell)
         made = tables(analysis) | {f"compat_{tool}": compat_columns(analysis, tool) for tool in compat or ()}
 
-        def book(into: Path) -> None:
-            write_workbook(analysis, into / NAME, made)
+        def beside(into: Path) -> None:
+            if excel:
+                write_workbook(analysis, into / NAME, made)
+            if report:
+                write_report(analysis, into / PAGE, made=made)
 
-        folder = save(analysis, folder, overwrite=overwrite, made=made, extra=book if excel else None)
-    report(analysis, made["summary"], folder, quiet=quiet, json=json)
+        folder = save(analysis, folder, overwrite=overwrite, made=made, extra=beside)
+    print_result(analysis, made["summary"], folder, quiet=quiet, json=json)
     return VERDICT_FAIL if analysis.verdict == "fail" else 0
 
 
@@ -185,6 +192,33 @@ def export(result: Path, *, out: Path, layout: str = "paper", overwrite: Switch 
     return 0
 
 
+def report(result: Path, *, out: Path | None = None, movie: Path | None = None, overwrite: Switch = False,
+           quiet: Switch = False) -> int:
+    """Write the report of a result again, from its result file alone.
+
+    Parameters
+    ----------
+    result
+        Folder or result.nc that `microbundle analyze` wrote.
+    out
+        New HTML file; by default report.html beside the result file.
+    movie
+        MP4 to show in the report, of up to 4 MB.
+    overwrite
+        Replace an older report.
+    quiet
+        Print nothing but errors.
+    """
+    from .report import NAME, write_report
+    from .store import load
+
+    home = result if result.is_dir() else result.parent
+    file = write_report(load(result), out or home / NAME, movie=movie, overwrite=overwrite)
+    if not quiet:
+        print(file)
+    return 0
+
+
 def demo(*, out: Path | None = None, quiet: Switch = False, json: Switch = False) -> int:
     """Render a small beating tissue with known motion, analyze it, and print what was measured beside the truth.
 
@@ -222,7 +256,7 @@ def settings_from(config_file: Path | None, flags: Config | None) -> Config:
     return Config.from_dict(merge(below, above), source=f"command line with {config_file}")
 
 
-def report(analysis: Analysis, summary: pd.DataFrame, folder: Path, *, quiet: bool, json: bool) -> None:
+def print_result(analysis: Analysis, summary: pd.DataFrame, folder: Path, *, quiet: bool, json: bool) -> None:
     """Print the short table of a result from its summary, or its JSON, and its findings."""
     if json:
         metrics = {str(row["metric"]): {k: row[k] for k in ("n", "mean", "sd", "low_95", "high_95")}
