@@ -67,7 +67,7 @@ def full_analysis(tissue_analysis) -> Analysis:
 
 def written(analysis: Analysis) -> set[str]:
     found = tables(analysis)
-    names = {name for key, table in found.items() if key != "summary" for name in table.columns}
+    names = {name for key, table in found.items() if "summary" not in key for name in table.columns}
     return names | set(found["summary"]["metric"])
 
 
@@ -103,6 +103,19 @@ def test_a_result_that_does_not_know_its_errors_has_no_columns_for_them(strip):
 
 def test_summary_has_the_promised_statistics(strip):
     assert set(tables(strip)["summary"].columns) == STATISTICS
+
+
+def test_parts_are_summed_up_as_the_tissue_is(full_analysis):
+    found = tables(full_analysis)
+    for part, key in (("subdomain", "E_cc_amplitude"), ("pillar", "force_amplitude_un")):
+        summary = found[f"{part}_summary"]
+        assert set(summary.columns) == STATISTICS | {part}
+        row = summary[(summary["metric"] == key) & (summary[part] == summary[part].iloc[0])].iloc[0]
+        each = found[f"{part}s"].query(f"complete and {part} == '{row[part]}'")[key]
+        assert row["n"] == len(each.dropna())
+        assert row["mean"] == pytest.approx(each.mean())
+        assert row["sd"] == pytest.approx(each.std())
+        assert 0 < row["se"] < abs(row["mean"])
 
 
 def test_entries_are_unique_and_say_what_they_are():

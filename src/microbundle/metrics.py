@@ -37,13 +37,15 @@ if TYPE_CHECKING:
 
 OVER_BEATS: tuple[Level, ...] = ("beat", "shortening")
 """Levels whose numbers are summed up over the whole beats of the tissue."""
+PARTS: tuple[Level, ...] = ("subdomain", "pillar")
+"""Levels whose numbers are summed up over the whole beats for each part."""
 
 
 def tables(analysis: Analysis) -> dict[str, pd.DataFrame]:
     """Compute all metrics of a result, as tables with the unit in each column's name.
 
     `summary` has a row for each metric of the movie (n, mean, standard error, sd, cv, median, 95 % interval of the mean
-    over whole beats); `beats` a row for each beat, by the mean absolute displacement, and `shortening` by the tissue's
+    over whole beats), `subdomain_summary` and `pillar_summary` the same for each sub-domain and pillar; `beats` a row for each beat, by the mean absolute displacement, and `shortening` by the tissue's
     length; `subdomains` a row for each sub-domain and beat, `frames` for each frame, `strain` for each sub-domain and
     frame. `pillars` has a row for each pillar and beat, `pillar_frames` for each pillar and frame, and `budget` the
     sources of the forces' errors; all three are empty without pillars. Lengths are given in px, and in um too where the
@@ -58,6 +60,8 @@ def tables(analysis: Analysis) -> dict[str, pd.DataFrame]:
     values = _levels(analysis, signals[0] - added[0])
     return {
         "summary": _summary(analysis, values, errors),
+        "subdomain_summary": _summary_of_parts(analysis, "subdomain", values["subdomain"], errors),
+        "pillar_summary": _summary_of_parts(analysis, "pillar", values["pillar"], errors),
         "beats": pd.DataFrame(list(_beat_rows(analysis, values["beat"], errors, "beat"))),
         "shortening": pd.DataFrame(list(_beat_rows(analysis, values["shortening"], errors, "shortening"))),
         "subdomains": pd.DataFrame(list(_subdomain_rows(analysis, values["subdomain"], errors))),
@@ -83,7 +87,8 @@ def _with_errors(analysis: Analysis) -> dict[str, Floats]:
     whole = analysis.beats.complete
     out |= {f"mean.{name}": _mean_of_known(values[whole]) for level in OVER_BEATS
             for name, values in levels[level].items()}
-    out |= {f"mean.pillar.{name}": _mean_of_known(values[whole]) for name, values in levels["pillar"].items()}
+    out |= {f"mean.{level}.{name}": _mean_of_known(values[whole]) for level in PARTS
+            for name, values in levels[level].items()}
     movie = {"drift": np.array(drift_px(analysis)), "baseline_drift": np.array(baseline_drift(analysis)),
              **rhythm_values(analysis, levels["beat"], nulls=False), **_front(analysis, levels)}
     out |= {f"mean.{name}": value for name, value in movie.items()}
@@ -209,8 +214,26 @@ def _summary(analysis: Analysis, values: Mapping[Level, Mapping[str, Floats]],
             for name, value, se in _with_column_errors(analysis, single, error)]
     over = {name: value[whole] for level in OVER_BEATS for name, value in values[level].items()}
     rows += [_row(name, value, se) for name, value, se in _with_column_errors(analysis, over, error)]
-    return pd.DataFrame(rows, columns=["metric", "n", "mean", "se", "sd", "cv", "median", "low_95", "high_95",
-                                       "interval"])
+    return pd.DataFrame(rows, columns=STATISTICS)
+
+
+STATISTICS = ["metric", "n", "mean", "se", "sd", "cv", "median", "low_95", "high_95", "interval"]
+
+
+def _summary_of_parts(analysis: Analysis, level: Level, values: Mapping[str, Floats],
+                      errors: Mapping[str, Floats]) -> pd.DataFrame:
+    """One row for each metric of each sub-domain or pillar, over the whole beats."""
+    import pandas as pd
+
+    names: tuple[str, ...] = ()
+    if level == "subdomain" and analysis.strain is not None:
+        names = analysis.strain.label
+    elif level == "pillar" and analysis.pillars is not None:
+        names = analysis.pillars.pillars.names
+    whole, error = analysis.beats.complete, _errors_of(errors, f"mean.{level}")
+    rows = [{level: name, **_row(column, each, se)} for p, name in enumerate(names)
+            for column, each, se in _with_column_errors(analysis, _at(values, (whole, p)), _at(error, p))]
+    return pd.DataFrame(rows, columns=[level, *STATISTICS] if names else [])
 
 
 def _front(analysis: Analysis, values: Mapping[Level, Mapping[str, Floats]]) -> dict[str, Floats]:
