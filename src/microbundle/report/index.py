@@ -56,7 +56,7 @@ def summarize(analysis: Analysis, summary: pd.DataFrame, report: Path | None = N
     return Summary(analysis.name, analysis.verdict,
                    tuple(f.message for f in analysis.findings if f.level != "info"),
                    int(analysis.beats.complete.sum()), wanted, {name: known[name] for name in wanted},
-                   thumbnail(analysis.image, analysis.masks.tissue), report)
+                   thumbnail(analysis), report)
 
 
 def write_index(reports: Iterable[Summary | Path | str], path: Path | str, *, title: str = "Movies",
@@ -115,7 +115,7 @@ def _head(content: object) -> Html:
 
 
 def _row(one: Summary, columns: Mapping[str, Any], home: Path) -> Html:
-    picture = Html(f'<img src="{one.picture}" alt="" width="150" loading="lazy">')
+    picture = Html(f'<img src="{one.picture}" alt="" width="180" loading="lazy">')
     name: Html | str = one.name
     if one.report is not None:
         link = quote(Path(os.path.relpath(one.report.resolve(), home)).as_posix())

@@ -44,7 +44,7 @@ def data_uri(picture: np.ndarray, *, longest: int = LONGEST, largest_png: int = 
 
 def view_box(analysis: Analysis) -> tuple[int, int, int, int]:
     """Give the part of the picture that holds the tissue, the pillars and a margin: x, y, width, height."""
-    shown = analysis.masks.tissue.copy()
+    shown = np.array(analysis.masks.tissue)
     for mask in () if analysis.pillars is None else analysis.pillars.pillars.masks:
         shown |= mask
     rows, cols = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
@@ -74,11 +74,13 @@ def axis_line(masks: Masks) -> tuple[Floats, Floats]:
     return masks.axis.center_px - half, masks.axis.center_px + half
 
 
-def thumbnail(image: Image, tissue: Bools) -> str:
-    """Make a small picture of a tissue, with its outline in white, as a data URI."""
-    height = max(1, round(WIDE * image.shape[0] / image.shape[1]))
-    small = cv2.resize(grey(image), (WIDE, height), interpolation=cv2.INTER_AREA)
-    mask = cv2.resize(tissue.astype(np.uint8), (WIDE, height), interpolation=cv2.INTER_NEAREST)
+def thumbnail(analysis: Analysis) -> str:
+    """Make a small picture of the tissue, with its outline in white, as a data URI."""
+    left, top, width, rows = view_box(analysis)
+    part = np.s_[top:top + rows, left:left + width]
+    size = (WIDE, max(1, round(WIDE * rows / width)))
+    small = cv2.resize(grey(analysis.image)[part], size, interpolation=cv2.INTER_AREA)
+    mask = cv2.resize(analysis.masks.tissue[part].astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     borders, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(small, borders, -1, 255, 1, cv2.LINE_AA)
     return data_uri(small, largest_png=0)

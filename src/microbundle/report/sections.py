@@ -29,6 +29,8 @@ CARDS = (("beat_rate_bpm", "beat_rate_per_frame", "beat_period_frames"), ("ampli
           "contraction_velocity_px_per_frame"),
          ("twitch_force_un",), ("synchrony_sd_s", "synchrony_sd_frames"))
 """Columns of the summary that are shown large: of each, the first that is there."""
+INTERVALS = {"beat-to-beat spread": "beats", "measurement": "measurement"}
+"""What an interval is made of, in short."""
 CLOCK_TIMES = ("peak_time", "onset_time", "half_rise_time")
 """Times from the movie's start, of which a mean over beats says nothing."""
 TILE_COLUMNS = ("E_cc_extreme", "E_rr", "E_rc", "E_1", "E_2", "areal_strain", "shear_max", "delay", "E_cc_cd50_s",
@@ -87,13 +89,13 @@ def summary_table(analysis: Analysis, summary: pd.DataFrame) -> Html:
     known = terms(analysis)
     rows = {str(row["metric"]): row for row in summary.to_dict("records") if row["n"] > 0}
     shown = [term for term in best_unit(known, list(rows)) if not term.metric.key.endswith(CLOCK_TIMES)]
-    head = ("Metric", "Unit", "n", "Mean", "SE of measurement", "SD of beats", "95 % interval", "Interval by")
+    head = ("Metric", "Unit", "n", "Mean", "SE of measurement", "SD of beats", "95 % interval", "by")
     body = []
     for term in shown:
         row = rows[term.column]
         interval = f"{number(row['low_95'])} to {number(row['high_95'])}" if np.isfinite(row["low_95"]) else MISSING
         body.append((explained(term), term.unit, str(int(row["n"])), number(row["mean"]), number(row["se"], 2),
-                     number(row["sd"], 3), interval, row["interval"] or MISSING))
+                     number(row["sd"], 3), interval, INTERVALS.get(row["interval"], MISSING)))
     return table(head, body, "All metrics of the movie, over whole beats")
 
 

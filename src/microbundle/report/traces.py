@@ -30,17 +30,28 @@ UNKNOWN = -32768
 
 def page_data(analysis: Analysis, made: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     """Collect everything that the page's scripts draw."""
-    step = seconds_per_frame(analysis)
-    beats = analysis.beats
+    step, beats = seconds_per_frame(analysis), analysis.beats
+    time = clock(analysis) * (step or 1.0)
     return {
         "name": analysis.name,
-        "time": rounded(clock(analysis) * (step or 1.0), 6), "time_unit": "s" if step is not None else "frames",
+        "time": rounded(time, 6), "time_unit": "s" if step is not None else "frames",
         "length_unit": "px" if analysis.um_per_px is None else "µm", "view": view_box(analysis),
-        "beats": [{"start": int(a), "peak": int(p), "stop": int(z), "complete": bool(whole)} for a, p, z, whole in
-                  zip(beats.start, beats.peak, beats.stop, beats.complete, strict=True)],
+        "beats": [{"start": int(a), "peak": int(p), "stop": int(z), "complete": bool(whole), "time": at} for
+                  a, p, z, whole, at in zip(beats.start, beats.peak, beats.stop, beats.complete,
+                                            rounded(_peak_times(analysis, made["beats"], time), 6), strict=True)],
         "signals": signals(analysis, made), "strain": strain(analysis, made["strain"]),
         "map": displacement(analysis), "loop": loop(analysis, made),
     }
+
+
+def _peak_times(analysis: Analysis, rows: pd.DataFrame, time: Floats) -> Floats:
+    """Time of each beat's peak (B,): between frames where it could be measured, else that of its frame."""
+    at_frame = time[analysis.beats.peak]
+    term = written_as(terms(analysis), rows, "peak_time")
+    if term is None:
+        return at_frame
+    measured = rows[term.column].to_numpy(float)
+    return np.where(np.isfinite(measured), measured, at_frame)
 
 
 def signals(analysis: Analysis, made: Mapping[str, pd.DataFrame]) -> list[dict[str, Any]]:
