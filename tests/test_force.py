@@ -140,7 +140,8 @@ def test_published_forces(bright, golden_folder):
 
 
 def test_accurate_forces_are_near_the_published_ones(bright):
-    """The published mean over the mask takes in its rim, which moves less: it lies below, hardly more than the error."""
+    """The published mean over the mask takes in its rim, which moves less: it lies below, by hardly more than the
+    error."""
     accurate, paper = (tables(bright[m])["pillars"].query("complete").groupby("pillar")["force_amplitude_un"].mean()
                        for m in ("accurate", "paper"))
     np.testing.assert_allclose(accurate, paper, rtol=0.12)

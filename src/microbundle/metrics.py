@@ -45,12 +45,13 @@ def tables(analysis: Analysis) -> dict[str, pd.DataFrame]:
     """Compute all metrics of a result, as tables with the unit in each column's name.
 
     `summary` has a row for each metric of the movie (n, mean, standard error, sd, cv, median, 95 % interval of the mean
-    over whole beats), `subdomain_summary` and `pillar_summary` the same for each sub-domain and pillar; `beats` a row for each beat, by the mean absolute displacement, and `shortening` by the tissue's
-    length; `subdomains` a row for each sub-domain and beat, `frames` for each frame, `strain` for each sub-domain and
-    frame. `pillars` has a row for each pillar and beat, `pillar_frames` for each pillar and frame, and `budget` the
-    sources of the forces' errors; all three are empty without pillars. Lengths are given in px, and in um too where the
-    pixel size is known; times in frames, or in seconds where the frame times are known. Standard errors (`_se`) are
-    those of the measurement, for results of the method `accurate`.
+    over whole beats), `subdomain_summary` and `pillar_summary` the same for each sub-domain and pillar; `beats` a row
+    for each beat, by the mean absolute displacement, and `shortening` by the tissue's length; `subdomains` a row for
+    each sub-domain and beat, `frames` for each frame, `strain` for each sub-domain and frame. `pillars` has a row for
+    each pillar and beat, `pillar_frames` for each pillar and frame, and `budget` the sources of the forces' errors; all
+    three are empty without pillars. Lengths are given in px, and in um too where the pixel size is known; times in
+    frames, or in seconds where the frame times are known. Standard errors (`_se`) are those of the measurement, for
+    results of the method `accurate`.
     """
     import pandas as pd
 

@@ -1,10 +1,10 @@
 """Timing, size and speed of each beat of any signal: displacement, shortening, strain, force, calcium.
 
 Between frames a signal is a cubic spline through its values. In each beat it is measured against its baseline: the
-straight line through the mean of the relaxed frames before the peak and of those after it, so that drift within the
-beat is no error. The peak is where the signal stands highest above the baseline, and its height is the amplitude A. The
-level x % is the baseline plus x/100 of A; it is crossed where the signal last passes it before the peak, and first
-after it. Times are those of the spline, not of frames.
+straight line through the mean of the relaxed frames before the peak and of those after it (of each rest the half that
+lies farther from the peak), so that drift within the beat is no error. The peak is where the signal stands highest above
+the baseline, and its height is the amplitude A. The level x % is the baseline plus x/100 of A; it is crossed where the
+signal last passes it before the peak, and first after it. Times are those of the spline, not of frames.
 
 Definitions: docs/metrics.md. Nothing here knows units: times are in frames (those of `clock`), and sizes in the
 signal's own.
@@ -164,10 +164,12 @@ def _rest_lines(signal: Floats, clock: Floats, relaxed: Bools, peak: float) -> _
     """Baseline of a beat (t, n): through its rests on both sides; level where it has one rest, zero where none."""
     parts = signal.shape[1]
     rests = []
-    for side in (clock < peak, clock > peak):
-        here = relaxed & side & np.isfinite(signal).all(axis=1)
-        if here.any():
-            rests.append((float(clock[here].mean()), signal[here].mean(axis=0)))
+    usable = relaxed & np.isfinite(signal).all(axis=1)
+    before, after = np.flatnonzero(usable & (clock < peak)), np.flatnonzero(usable & (clock > peak))
+    # Of each rest the half that lies farther from the peak, where less of the beat's foot is left.
+    for far in (before[:(len(before) + 1) // 2], after[len(after) // 2:]):
+        if len(far):
+            rests.append((float(clock[far].mean()), signal[far].mean(axis=0)))
     if not rests:
         return _Line(0.0, np.zeros(parts), np.zeros(parts))
     (t0, v0), (t1, v1) = rests[0], rests[-1]
