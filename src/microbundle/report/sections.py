@@ -49,8 +49,8 @@ def _finding(finding: Finding) -> Html:
     parts = [tag("span", LEVELS[finding.level], class_=f"level {finding.level}"),
              tag("span", joined([finding.message, " ", tag("code", finding.key)]), class_="message")]
     if finding.value is not None:
-        limit = "" if finding.limit is None else f", limit {number(finding.limit)}"
-        parts.append(tag("span", f"found {number(finding.value)}{limit}", class_="measured"))
+        limit = "" if finding.limit is None else f", limit {finding.limit:.4g}"
+        parts.append(tag("span", f"found {finding.value:.4g}{limit}", class_="measured"))
     return tag("li", joined(parts), class_=finding.level)
 
 
