@@ -43,83 +43,113 @@ def encoder(path: Path, shape: tuple[int, int], fps: float, sample: Sequence[Rgb
     """Open a movie file for pictures of `shape` (rows, cols, both even), and give the function that adds one.
 
     `sample` are typical pictures, of which a GIF takes its palette. Raises ConfigError for another ending, OutputError
-    where the file exists (unless `overwrite`) or cannot be written. After an error nothing is left.
+    where the file exists (unless `overwrite`) or cannot be written. After any error nothing is left.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{path}: expected a name that ends in {' or '.join(SUFFIXES)}; found {path.suffix!r}")
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: expected a new file; there is one of that name. Choose another name")
-    import av
-
     partial: Path | None = None
+    sink: _Mp4 | _Gif | None = None
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.partial-", suffix=path.suffix.lower(), dir=path.parent)
-        os.close(handle)
-        partial = Path(name)
-        write = _mp4 if path.suffix.lower() == ".mp4" else _gif
-        with write(partial, shape, fps, sample) as add:
-            yield add
-        partial.chmod(0o644)
-        os.replace(partial, path)
-    except (OSError, av.FFmpegError) as error:
-        raise OutputError(f"{path}: the movie cannot be written: {getattr(error, 'strerror', None) or error}") from None
+        with _writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle, name = tempfile.mkstemp(prefix=f".{path.stem}.partial-", suffix=path.suffix.lower(),
+                                            dir=path.parent)
+            os.close(handle)
+            partial = Path(name)
+            sink = _Mp4(partial, shape, fps) if path.suffix.lower() == ".mp4" else _Gif(partial, shape, fps, sample)
+
+        def add(picture: Rgb) -> None:
+            with _writing(path):
+                sink.add(picture)
+
+        yield add
+        with _writing(path):
+            sink.finish()
+            partial.chmod(0o644)
+            os.replace(partial, path)
     finally:
+        if sink is not None:
+            sink.container.close()
         if partial is not None:
-            with suppress(FileNotFoundError):
+            with suppress(OSError):
                 partial.unlink()
 
 
 @contextmanager
-def _mp4(file: Path, shape: tuple[int, int], fps: float, _: Sequence[Rgb]) -> Iterator[Callable[[Rgb], None]]:
+def _writing(path: Path) -> Iterator[None]:
+    """Turn what goes wrong while a file is written into OutputError."""
     import av
-    from av.video.reformatter import ColorRange, Colorspace
 
-    with av.open(str(file), "w", format="mp4", options={"movflags": "+faststart"}) as container:
-        stream = _stream(container, "libx264", shape, Fraction(fps).limit_denominator(1000))
+    try:
+        yield
+    except (OSError, av.FFmpegError) as error:
+        raise OutputError(f"{path}: the movie cannot be written: {getattr(error, 'strerror', None) or error}") from None
+
+
+class _Mp4:
+    """H.264 in an MP4 file."""
+
+    def __init__(self, file: Path, shape: tuple[int, int], fps: float) -> None:
+        import av
+
+        self.container = av.open(str(file), "w", format="mp4", options={"movflags": "+faststart"})
+        stream = _stream(self.container, "libx264", shape, Fraction(fps).limit_denominator(1000))
         stream.pix_fmt = "yuv420p"
         stream.options = {"crf": QUALITY, "preset": "veryfast"}
         stream.codec_context.thread_count = 1  # more threads hold more frames
         for name in ("color_primaries", "color_trc", "colorspace", "color_range"):
             setattr(stream.codec_context, name, LIMITED if name == "color_range" else BT709)
+        self._stream = stream
 
-        def add(picture: Rgb) -> None:
-            frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(
-                format="yuv420p", dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG)
-            container.mux(stream.encode(frame))
+    def add(self, picture: Rgb) -> None:
+        import av
+        from av.video.reformatter import ColorRange, Colorspace
 
-        yield add
-        container.mux(stream.encode())
+        frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(
+            format="yuv420p", dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG)
+        self.container.mux(self._stream.encode(frame))
+
+    def finish(self) -> None:
+        self.container.mux(self._stream.encode())
+        self.container.close()
 
 
-@contextmanager
-def _gif(file: Path, shape: tuple[int, int], fps: float, sample: Sequence[Rgb]) -> Iterator[Callable[[Rgb], None]]:
-    import av
+class _Gif:
+    """A GIF whose frames share one palette; it ends with a transparent entry, for what does not change."""
 
-    colours = _palette(sample)
-    nearest = _nearest(colours)
-    palette = np.zeros((256, 4), np.uint8)
-    palette[:COLOURS, 0], palette[:COLOURS, 1:] = 255, colours  # the last one is transparent
-    shown = np.zeros((*shape, 3), np.uint8)
-    index: NDArray[np.uint8] | None = None
-    with av.open(str(file), "w", format="gif") as container:
+    def __init__(self, file: Path, shape: tuple[int, int], fps: float, sample: Sequence[Rgb]) -> None:
+        import av
+
+        colours = _palette(sample)
+        self._nearest = _nearest(colours)
+        self._palette = np.zeros((256, 4), np.uint8)
+        self._palette[:COLOURS, 0], self._palette[:COLOURS, 1:] = 255, colours
+        self._shown = np.zeros((*shape, 3), np.uint8)
+        self._index: NDArray[np.uint8] | None = None
+        self.container = av.open(str(file), "w", format="gif")
         # A GIF counts its times in hundredths of a second.
-        stream = _stream(container, "gif", shape, Fraction(100, max(round(100 / fps), 2)))
-        stream.pix_fmt = "pal8"
+        self._stream = _stream(self.container, "gif", shape, Fraction(100, max(round(100 / fps), 2)))
+        self._stream.pix_fmt = "pal8"
 
-        def add(picture: Rgb) -> None:
-            nonlocal index
-            new = nearest[picture[..., 0] >> 3, picture[..., 1] >> 2, picture[..., 2] >> 3]
-            if index is None:
-                index, shown[:] = new, picture
-            else:
-                changed = cv2.absdiff(picture, shown).max(axis=2) > STILL
-                index = np.where(changed, new, index)
-                shown[changed] = picture[changed]
-            container.mux(stream.encode(av.VideoFrame.from_ndarray((index, palette), format="pal8")))  # type: ignore[arg-type]
+    def add(self, picture: Rgb) -> None:
+        import av
 
-        yield add
-        container.mux(stream.encode())
+        index = self._nearest[picture[..., 0] >> 3, picture[..., 1] >> 2, picture[..., 2] >> 3]
+        changed = cv2.absdiff(picture, self._shown).max(axis=2) > STILL
+        if self._index is None:
+            changed[:] = True
+        else:
+            index = np.where(changed, index, self._index)
+        self._index = index
+        self._shown[changed] = picture[changed]
+        frame = av.VideoFrame.from_ndarray((index, self._palette), format="pal8")  # type: ignore[arg-type]
+        self.container.mux(self._stream.encode(frame))
+
+    def finish(self) -> None:
+        self.container.mux(self._stream.encode())
+        self.container.close()
 
 
 def _stream(container: av.container.OutputContainer, codec: str, shape: tuple[int, int], rate: Fraction) -> Any:

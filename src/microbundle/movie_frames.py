@@ -123,7 +123,8 @@ class Painter:
     def __init__(self, movie: Movie, shown: Shown, show: Show, view: Window,
                  limits: tuple[float, float] | None) -> None:
         self.shown, self.view = shown, view
-        self._colour: _Displacement | _Tiles = _Displacement(shown, view) if show == "displacement" else _Tiles(shown, view)
+        self._colour: _Displacement | _Tiles = (_Displacement(shown, view) if show == "displacement"
+                                                else _Tiles(shown, view))
         self.limits = limits or self._colour.limits()
         self._outside = view.cut(np.ones(movie.shape, np.float32), outside=0.0) < 0.5
         name = SEQUENTIAL if show == "displacement" else DIVERGING

@@ -22,6 +22,7 @@ from .shown import Shown
 FASTEST = {".mp4": 60.0, ".gif": 50.0}
 """Frames a second that all players can show; faster movies are slowed down to it."""
 UNKNOWN_FPS = 30.0
+SHOWN: tuple[Show, ...] = ("displacement", "strain")
 LONGEST = {".mp4": 640, ".gif": 400}
 """Longer side of the picture in px."""
 
@@ -40,7 +41,7 @@ def write_movie(movie: Movie, analysis: Analysis, path: Path | str, *, show: Sho
     exists (unless `overwrite`); nothing is left then.
     """
     path = Path(path).expanduser()
-    if show not in ("displacement", "strain"):
+    if show not in SHOWN:
         raise ConfigError(f"show: expected displacement or strain; found {show!r}")
     if limits is not None and not (np.isfinite(limits).all() and limits[0] < limits[1]):
         raise ConfigError(f"limits: expected two numbers, the lower first; found {limits}")
@@ -61,6 +62,20 @@ def write_movie(movie: Movie, analysis: Analysis, path: Path | str, *, show: Sho
         for t in frames:
             add(paint(int(t), movie.frames[int(t)]))
     return path
+
+
+def save_all(movie: Movie, analysis: Analysis, folder: Path | str) -> dict[str, str]:
+    """Write `displacement.mp4` and `strain.mp4` into a folder; returns what there is no movie of, and why.
+
+    Raises ConfigError for another movie than the one that was analyzed, OutputError where a file cannot be written.
+    """
+    left_out: dict[str, str] = {}
+    for show in SHOWN:
+        try:
+            write_movie(movie, analysis, Path(folder) / f"{show}.mp4", show=show)
+        except CannotMeasure as error:
+            left_out[show] = str(error)
+    return left_out
 
 
 def analysis_fps(analysis: Analysis) -> float:
