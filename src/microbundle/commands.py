@@ -28,7 +28,7 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
             config_file: Annotated[Path | None, Parameter(name="--config")] = None,
             stiffness_un_per_um: float | None = None, excel: Switch = False, compat: list[ToolName] | None = None,
             report: bool = True, config: Annotated[Config | None, Parameter(name="*")] = None,
-            quiet: Switch = False, json: Switch = False) -> int:
+            figures: Switch = False, movies: Switch = False, quiet: Switch = False, json: Switch = False) -> int:
     """Measure one movie and write a folder of results.
 
     Parameters
@@ -51,6 +51,10 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
         Also write the beats in the columns and definitions of another tool; may be given more than once.
     report
         Write report.html, a page with everything to look at, which opens in any browser.
+    figures
+        Also write the folder figures/: pictures of everything, as PNG and PDF.
+    movies
+        Also write the folder movies/: displacement and strain over the beating tissue, as MP4.
     quiet
         Print nothing but errors.
     json
@@ -80,7 +84,19 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
         analysis = run(opened, settings, tell=tell)
         made = tables(analysis) | {f"compat_{tool}": compat_columns(analysis, tool) for tool in compat or ()}
 
+        left_out: dict[str, str] = {}
+
         def beside(into: Path) -> None:
+            if figures:
+                from .figures import save_all as save_figures
+
+                left_out.update({f"figure {kind}": why for kind, why in
+                                 save_figures(analysis, into / "figures").left_out.items()})
+            if movies:
+                from .movies import save_all as save_movies
+
+                left_out.update({f"movie {show}": why for show, why in
+                                 save_movies(opened, analysis, into / "movies").items()})
             if excel:
                 write_workbook(analysis, into / NAME, made)
             if report:
@@ -88,6 +104,8 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
 
         folder = save(analysis, folder, overwrite=overwrite, made=made, extra=beside)
     print_result(analysis, made["summary"], folder, quiet=quiet, json=json)
+    for name, why in left_out.items() if not (quiet or json) else ():
+        print(f"info: no {name}: {why}")
     return VERDICT_FAIL if analysis.verdict == "fail" else 0
 
 
