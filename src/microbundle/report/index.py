@@ -52,7 +52,8 @@ def summarize(analysis: Analysis, summary: pd.DataFrame, report: Path | None = N
     """Take what the index shows from a result and its table `summary`; `report` is where its page lies."""
     known = terms(analysis)
     means = {str(row["metric"]): float(row["mean"]) for row in summary.to_dict("records") if row["n"] > 0}
-    wanted = {name: means[name] for choices in CARDS for name in choices if name in means}
+    first = (next((name for name in choices if name in means), None) for choices in CARDS)
+    wanted = {name: means[name] for name in first if name is not None}
     return Summary(analysis.name, analysis.verdict,
                    tuple(f.message for f in analysis.findings if f.level != "info"),
                    int(analysis.beats.complete.sum()), wanted, {name: known[name] for name in wanted},
@@ -102,11 +103,7 @@ def summary_of_folder(folder: Path) -> Summary:
 def _columns(listed: Sequence[Summary]) -> dict[str, Term]:
     """The columns of the index, in the order of the key numbers: all that any movie has."""
     known = {name: term for one in listed for name, term in one.terms.items()}
-    wanted = [name for choices in CARDS for name in choices]
-    physical = {term.metric.key for term in known.values() if term.unit == "µm"}
-    return {name: known[name] for name in wanted if name in known
-            and (known[name].unit != "px" or known[name].metric.key not in physical
-                 or any(name in one.metrics and name.replace("_px", "_um") not in one.metrics for one in listed))}
+    return {name: known[name] for choices in CARDS for name in choices if name in known}
 
 
 def _head(content: object) -> Html:

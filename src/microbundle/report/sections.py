@@ -17,8 +17,10 @@ from .terms import Term, best_unit, explained, terms
 if TYPE_CHECKING:
     import pandas as pd
 
-TEXT, TEXT_IN_TILE = 0.03, 0.45
-"""Size of text in the picture, as a share of its width, and at most of a sub-domain's side."""
+TEXT = 0.03
+"""Size of text in the picture, as a share of its width."""
+NAMED_TILE = 0.045
+"""Sub-domains with a smaller side, as a share of the picture's width, show their name when pointed at or chosen."""
 LEVELS = {"fail": "Fail", "review": "Review", "info": "Info"}
 VERDICTS = {"pass": ("Pass", "Nothing was found that speaks against these numbers."),
             "review": ("Review", "A person should look at what was found before these numbers are used."),
@@ -47,7 +49,8 @@ def findings(found: Sequence[Finding]) -> Html:
 
 def _finding(finding: Finding) -> Html:
     parts = [tag("span", LEVELS[finding.level], class_=f"level {finding.level}"),
-             tag("span", joined([finding.message, " ", tag("code", finding.key)]), class_="message")]
+             tag("span", joined([finding.message[:1].upper(), finding.message[1:], " ", tag("code", finding.key)]),
+                 class_="message")]
     if finding.value is not None:
         limit = "" if finding.limit is None else f", limit {finding.limit:.4g}"
         parts.append(tag("span", f"found {finding.value:.4g}{limit}", class_="measured"))
@@ -194,9 +197,9 @@ def picture(analysis: Analysis, uri: str) -> Html:
            f"{', and the sub-domains' if analysis.strain is not None else ''}")
     under = tag("svg", Html(f'<image href="{uri}" x="0" y="0" width="{cols}" height="{rows}" '
                             'preserveAspectRatio="none"/>'), viewBox=box, class_="under", aria_hidden="true")
-    size = TEXT * width if analysis.strain is None else min(TEXT * width, TEXT_IN_TILE * min(analysis.strain.side_px))
-    over = tag("svg", joined(_overlay(analysis)), viewBox=box, class_="over", role="group", aria_label=alt,
-               font_size=f"{size:.1f}")
+    dense = analysis.strain is not None and min(analysis.strain.side_px) < NAMED_TILE * width
+    over = tag("svg", joined(_overlay(analysis)), viewBox=box, class_="over dense" if dense else "over", role="group",
+               aria_label=alt, font_size=f"{TEXT * width:.1f}")
     return joined([under, tag("canvas", "", aria_hidden="true"), over])
 
 

@@ -72,7 +72,7 @@ class Chart {
         width: Math.max(0, this.x(beat.to) - this.x(beat.from) - 2), height: ground - EDGE.top }));
       inside.append(draw("line", { class: "peak", x1: this.x(beat.peak), x2: this.x(beat.peak), y1: EDGE.top, y2: ground }));
       const at = this.x(beat.peak);
-      if (at > EDGE.left && at < right) {
+      if (at >= EDGE.left - 0.5 && at <= right + 0.5) {
         parts.push(draw("text", { x: at, y: EDGE.top - 5, "text-anchor": "middle" }, `${number + 1}`));
       }
     }

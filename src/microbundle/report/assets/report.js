@@ -174,6 +174,7 @@ function strainLines(tile) {
 }
 
 const strainTitle = (tile) => `Strain E_cc of ${data.strain.labels[tile]}`;
+const greyTitle = (tile) => `${strainTitle(tile)}${tiles.length > 1 ? " (grey: the others)" : ""}`;
 
 function startTraces() {
   const common = { range: time, xLabel, xUnit: data.time_unit, beats: bands, step,
@@ -183,12 +184,12 @@ function startTraces() {
     unit: signal.unit, lines: lines(signal) }));
   if (tiles.length) {
     const { tile } = state.values;
-    const chart = new Chart(byId("traces"), { ...common, id: ALL, title: strainTitle(tile), unit: "", lines: strainLines(tile) });
+    const chart = new Chart(byId("traces"), { ...common, id: ALL, title: greyTitle(tile), unit: "", lines: strainLines(tile) });
     charts.splice(2, 0, chart);
     const after = charts[1]?.root;
     if (after) after.after(chart.root);
     state.listen((changed) => {
-      if (changed.has("tile")) chart.show(strainLines(state.values.tile), strainTitle(state.values.tile));
+      if (changed.has("tile")) chart.show(strainLines(state.values.tile), greyTitle(state.values.tile));
     });
   }
   state.listen((changed) => { if (changed.has("frame")) for (const chart of charts) chart.moveCursor(); });
