@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 NAME = "results.xlsx"
-SHEETS = {"summary": "summary", "beats": "beats", "shortening": "shortening", "subdomains": "sub-domains",
-          "pillars": "pillars", "frames": "traces (frames)", "strain": "strain", "pillar_frames": "pillar traces"}
+SHEETS = {"summary": "summary", "subdomain_summary": "sub-domains, summary", "pillar_summary": "pillars, summary",
+          "beats": "beats", "shortening": "shortening", "subdomains": "sub-domains", "pillars": "pillars",
+          "frames": "traces (frames)", "strain": "strain", "pillar_frames": "pillar traces"}
 """Tables and the names of their sheets, in order; tables that are not listed follow under their own names."""
 BUDGET = "budget"
 MOST_ROWS = 1_048_575
