@@ -100,7 +100,8 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
             if excel:
                 write_workbook(analysis, into / NAME, made)
             if report:
-                write_report(analysis, into / PAGE, made=made)
+                filmed = into / "movies" / "displacement.mp4"
+                write_report(analysis, into / PAGE, made=made, movie=filmed if filmed.is_file() else None)
 
         folder = save(analysis, folder, overwrite=overwrite, made=made, extra=beside)
     print_result(analysis, made["summary"], folder, quiet=quiet, json=json)

@@ -38,7 +38,7 @@ class Term:
     def name(self) -> str:
         """What people call it."""
         plain = re.sub(r"\b([EF]) (rr|rc|cr|cc|1|2)\b", r"\1_\2", self.metric.key.replace("_", " "))
-        plain = plain.replace("e cc", "E_cc")
+        plain = re.sub(r"\b(cd\d+|cv|sd|rmssd)\b", lambda found: found[1].upper(), plain).replace("e cc", "E_cc")
         return NAMED.get(self.metric.key, plain[0].upper() + plain[1:])
 
     @property
