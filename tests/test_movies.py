@@ -1,5 +1,6 @@
 """Movies: they open again, show the known motion in the right colours, and hold one frame at a time."""
 
+import json
 import weakref
 from dataclasses import replace
 
@@ -8,6 +9,8 @@ import matplotlib
 import numpy as np
 import pytest
 
+from microbundle import figures
+from microbundle.cli import run
 from microbundle.config import Config
 from microbundle.data import Movie
 from microbundle.errors import CannotMeasure, ConfigError, MovieUnreadable, OutputError
@@ -32,7 +35,7 @@ def opened(path):
 def place(analysis, point_px):
     """Where a point of the image is in the frames of a movie of 320 px."""
     view = window(Shown(analysis), 320, level=False)
-    row, col = np.rint(view.picture_points(np.array(point_px, float)) + (HEAD, EDGE)).astype(int)
+    row, col = np.rint(view.picture_points(np.array(point_px, float)) + np.array([HEAD, EDGE])).astype(int)
     return slice(row - 4, row + 5), slice(col - 4, col + 5)
 
 
@@ -191,3 +194,18 @@ def test_the_cuts_of_the_analysis_are_made_again(tissue_movie, tissue_analysis, 
     frames, duration, _ = opened(path)
     assert len(frames) == FRAMES - 5
     assert duration == pytest.approx((FRAMES - 5) / 10, abs=0.1)
+
+
+def test_the_command_line_writes_pictures_into_the_result(tissue_folder, tmp_path, capsys, monkeypatch):
+    some = ("displacement", "force", "quality")
+    monkeypatch.setattr(figures, "KINDS", {kind: figures.KINDS[kind] for kind in some})
+    out = tmp_path / "out"
+    arguments = ["analyze", str(tissue_folder), "--out", str(out), "--method", "fast", "--no-report"]
+    assert run([*arguments, "--figures", "--movies"]) == 0
+    told = capsys.readouterr().out
+    assert "no figure force: no pillars were followed" in told
+    assert sorted(file.name for file in (out / "movies").iterdir()) == ["displacement.mp4", "strain.mp4"]
+    drawn = {file.name for file in (out / "figures").iterdir()}
+    assert drawn == {"displacement.png", "displacement.pdf", "quality.png", "quality.pdf"}
+    listed = json.loads((out / "microbundle.json").read_text())["files"]  # so that --overwrite may replace them
+    assert {"figures/quality.png", "movies/strain.mp4"} <= set(listed)

@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from . import figures, movies
     from .analysis import Analysis
     from .compat import compat_columns
     from .config import Config
@@ -74,9 +75,11 @@ __all__ = [
     "compat_columns",
     "displacement_error_at",
     "export_paper",
+    "figures",
     "follow_body",
     "follow_points",
     "load",
+    "movies",
     "read_mask",
     "read_movie",
     "save",
@@ -93,6 +96,8 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("microbundle")
+    if name in ("figures", "movies"):
+        return import_module(f".{name}", __name__)
     if name in _HOME:
         return getattr(import_module(f".{_HOME[name]}", __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -235,7 +235,7 @@ def _tile_map(shown: Shown, width_mm: float, values: Floats, limits: Limits, tit
             page.axes.text(col, row, text, ha="center", va="center",
                            fontsize=_fitting(page, strain.side_px[1], len(number.format(value))),
                            color="white" if dark else INK)
-    foot(page, "" if known.all() else f"empty: none ({int((~known).sum())})")
+    foot(page, "" if known.all() else f"empty: no value ({int((~known).sum())})")
     assert page.bar is not None
     colour_bar(page.figure, page.bar, shade, name)
     return page.figure
