@@ -264,22 +264,23 @@ def _with_column_errors(analysis: Analysis, values: Mapping[str, Any],
 
 
 def _row(name: str, values: Floats, error: float, *, single: bool = False) -> dict[str, object]:
-    """n, mean, its standard error by measurement, and over beats SD, CV, median and the 95 % interval of the mean; for
-    fewer than two beats the interval is that of the measurement."""
+    """n, mean, its standard error by measurement, and over beats SD, CV, median and the 95 % interval of the mean: by the
+    beats' spread, and, where it is known, by the measurement's error too, of which a part is common to all beats."""
     from scipy.special import stdtrit
 
     values = values[np.isfinite(values)]
     n = len(values)
     mean = float(values.mean()) if n else np.nan
     row: dict[str, object] = {"metric": name, "n": n, "mean": mean, "se": error, "interval": ""}
-    if n == 1 and np.isfinite(error) and not single:
-        half = float(stdtrit(DRAWS, 0.975)) * error
-        row |= {"low_95": mean - half, "high_95": mean + half, "interval": "measurement"}
+    own = float(stdtrit(DRAWS, 0.975)) * error if np.isfinite(error) else 0.0
+    if n == 1 and own and not single:
+        row |= {"low_95": mean - own, "high_95": mean + own, "interval": "measurement"}
     if n >= 2:
         sd = float(values.std(ddof=1))
-        half = float(stdtrit(n - 1, 0.975)) * sd / np.sqrt(n)
+        half = float(np.hypot(float(stdtrit(n - 1, 0.975)) * sd / np.sqrt(n), own))
         row |= {"sd": sd, "cv": sd / abs(mean) if mean else np.nan, "median": float(np.median(values)),
-                "low_95": mean - half, "high_95": mean + half, "interval": "beat-to-beat spread"}
+                "low_95": mean - half, "high_95": mean + half,
+                "interval": "beat-to-beat spread and measurement" if own else "beat-to-beat spread"}
     return row
 
 

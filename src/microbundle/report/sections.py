@@ -31,7 +31,8 @@ CARDS = (("beat_rate_bpm", "beat_rate_per_frame", "beat_period_frames"), ("ampli
           "contraction_velocity_px_per_frame"),
          ("twitch_force_un",), ("synchrony_sd_s", "synchrony_sd_frames"))
 """Columns of the summary that are shown large: of each, the first that is there."""
-INTERVALS = {"beat-to-beat spread": "beats", "measurement": "measurement"}
+INTERVALS = {"beat-to-beat spread": "beats", "measurement": "measurement",
+             "beat-to-beat spread and measurement": "both"}
 """What an interval is made of, in short."""
 CLOCK_TIMES = ("peak_time", "onset_time", "half_rise_time")
 """Times from the movie's start, of which a mean over beats says nothing."""
