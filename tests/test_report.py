@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from microbundle import cli
+from microbundle import cli, pipeline
 from microbundle.analysis import Analysis
 from microbundle.config import Config
 from microbundle.data import Finding
@@ -338,6 +338,15 @@ def test_the_result_file_alone_gives_the_same_bytes(tissue_analysis: Analysis, t
     assert cli.run(["report", str(folder / RESULT), "--overwrite", "--quiet"]) == 0
     assert (folder / NAME).read_bytes() == before
     assert load(folder).name == analysis.name
+
+
+@pytest.mark.parametrize("flags", [[], ["--no-report"]])
+def test_analyze_writes_a_report_unless_it_is_left_out(tissue_analysis: Analysis, monkeypatch: pytest.MonkeyPatch,
+                                                       tissue_folder: Path, tmp_path: Path, flags: list[str]) -> None:
+    monkeypatch.setattr(pipeline, "analyze", lambda *_, **__: tissue_analysis)
+    out = tmp_path / "out"
+    assert cli.run(["analyze", str(tissue_folder), "--out", str(out), "--quiet", *flags]) == 0
+    assert (out / NAME).is_file() == (not flags)
 
 
 def test_a_report_comes_into_a_result_folder_as_one_of_its_files(tissue_analysis: Analysis, made: Tables,
