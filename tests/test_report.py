@@ -290,7 +290,7 @@ def test_without_pillars_the_page_says_why(tissue_analysis: Analysis, made: Tabl
 def test_without_strain_the_page_says_why(tissue_analysis: Analysis) -> None:
     why = Finding("no_strain", "review", "No sub-domain fits: the tissue is too small.")
     page = report_page(replace(tissue_analysis, strain=None, movie_findings=(why,)))
-    assert f"No strain: {why.message}" in read(page).text
+    assert f"No strain. {why.message}" in read(page).text
     assert data_of(page)["strain"] is None
 
 

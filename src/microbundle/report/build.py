@@ -70,10 +70,10 @@ def _missing(analysis: Analysis) -> Html:
     """Say which traces there are not, and why."""
     reasons = []
     if analysis.strain is None:
-        reasons.append(f"No strain: {sections.why_no_strain(analysis)}")
+        reasons.append(("No strain. ", sections.why_no_strain(analysis)))
     if analysis.pillars is None:
-        reasons.append(f"No pillars: {sections.why_no_pillars(analysis)}")
-    return joined(tag("p", reason, class_="reason") for reason in reasons)
+        reasons.append(("No pillars. ", sections.why_no_pillars(analysis)))
+    return joined(tag("p", joined([tag("strong", what), why]), class_="reason") for what, why in reasons)
 
 
 def _movie(analysis: Analysis, movie: Path) -> Html:

@@ -50,8 +50,7 @@ def findings(found: Sequence[Finding]) -> Html:
 
 def _finding(finding: Finding) -> Html:
     parts = [tag("span", LEVELS[finding.level], class_=f"level {finding.level}"),
-             tag("span", joined([finding.message[:1].upper(), finding.message[1:], " ", tag("code", finding.key)]),
-                 class_="message")]
+             tag("span", joined([_sentence(finding.message), " ", tag("code", finding.key)]), class_="message")]
     if finding.value is not None:
         limit = "" if finding.limit is None else f", limit {finding.limit:.4g}"
         parts.append(tag("span", f"found {finding.value:.4g}{limit}", class_="measured"))
@@ -85,7 +84,7 @@ def _card(term: Term, row: Mapping[Any, Any]) -> Html:
 def why_no_beats(analysis: Analysis) -> str:
     """Say why there are no numbers of beats."""
     told = [f.message for f in analysis.findings if f.level == "fail"]
-    return told[0] if told else "There is no whole beat, so there are no numbers of beats."
+    return _sentence(told[0]) if told else "There is no whole beat, so there are no numbers of beats."
 
 
 def summary_table(analysis: Analysis, summary: pd.DataFrame) -> Html:
@@ -185,7 +184,11 @@ def why_no_pillars(analysis: Analysis) -> str:
 
 
 def _reason(analysis: Analysis, key: str, otherwise: str) -> str:
-    return next((f.message for f in analysis.findings if f.key == key), otherwise)
+    return _sentence(next((f.message for f in analysis.findings if f.key == key), otherwise))
+
+
+def _sentence(message: str) -> str:
+    return message[:1].upper() + message[1:]
 
 
 def picture(analysis: Analysis, uri: str) -> Html:

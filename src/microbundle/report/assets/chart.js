@@ -1,6 +1,7 @@
 // A chart of lines that zooms, pans, and tells the values under the pointer or at the cursor.
 // A line is {name, x, y, se, colour (1 to 6, 0 for faint), cut}; missing values are null and leave a gap.
 
+const MANY = 8; // More curves are told one at a time.
 const EDGE = { left: 62, right: 10, top: 16, bottom: 30 };
 
 class Chart {
@@ -34,7 +35,7 @@ class Chart {
     this.heading.textContent = `${title}${this.unit ? `, ${this.unit}` : ""}`;
     const values = lines.flatMap((line) => line.y.flatMap((y, i) => (y === null ? []
       : [y - (line.se?.[i] ?? 0), y + (line.se?.[i] ?? 0)])));
-    const xs = lines.flatMap((line) => line.x.filter((x, i) => x !== null && line.y[i] !== null));
+    const xs = lines.flatMap((line) => line.x.filter((x) => x !== null));
     this.known = values.length > 0;
     const fold = (list, f, start) => list.reduce((a, b) => f(a, b), start);
     const low = fold(values, Math.min, Infinity), high = fold(values, Math.max, -Infinity);
@@ -43,7 +44,9 @@ class Chart {
     [this.first, this.last] = xs.length ? [fold(xs, Math.min, Infinity), fold(xs, Math.max, -Infinity)] : [0, 1];
     if (this.last === this.first) this.last = this.first + 1;
     const named = lines.filter((line) => line.colour);
-    this.legend.replaceChildren(...(named.length < 2 ? [] : named.map((line) => make("span", {},
+    this.many = named.length > MANY;
+    this.legend.replaceChildren(...(named.length < 2 ? [] : this.many ? [`${named.length} curves; point at one for its name`]
+      : named.map((line) => make("span", {},
       draw("svg", { viewBox: "0 0 26 12", "aria-hidden": "true" }, draw("path", { d: "M0 6H26",
         class: `c${line.colour}${line.cut ? " cut" : ""}`, "stroke-dasharray": line.cut ? "5 4" : null })), line.name))));
     this.render();
@@ -194,12 +197,15 @@ class Chart {
 
   hover(px, py, event) {
     let text;
-    if (this.free) {
+    if (this.free || this.many) {
       const near = this.closest(px, py);
       if (!near) return;
-      this.under.setAttribute("cx", this.x(near.line.x[near.i]));
-      this.under.setAttribute("cy", this.y(near.line.y[near.i]));
-      text = `${near.line.name}: ${written(near.line.y[near.i])} ${this.unit} at ${written(near.line.x[near.i])} ${this.xUnit}`;
+      const at = this.x(near.line.x[near.i]);
+      for (const [key, value] of Object.entries({ cx: at, x1: at, x2: at, cy: this.y(near.line.y[near.i]) })) {
+        this.under.setAttribute(key, value);
+      }
+      text = `${near.line.name}: ${withError(near.line.y[near.i], near.line.se?.[near.i])} ${this.unit} at ${
+        written(near.line.x[near.i])} ${this.xUnit}`;
     } else {
       if (px < EDGE.left || px > this.width - EDGE.right) return;
       const line = this.lines.find((one) => one.colour && one.x.length);
@@ -222,7 +228,7 @@ class Chart {
     let best = null;
     for (const line of this.lines) {
       line.x.forEach((x, i) => {
-        if (x === null || line.y[i] === null) return;
+        if (!line.colour || x === null || line.y[i] === null) return;
         const away = (this.x(x) - px) ** 2 + (this.y(line.y[i]) - py) ** 2;
         if (!best || away < best.away) best = { line, i, away };
       });

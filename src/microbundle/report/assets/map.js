@@ -5,6 +5,7 @@ const RAMP = [[68, 1, 84], [72, 40, 120], [62, 74, 137], [49, 104, 142], [38, 13
 const DIVERGING = [[33, 60, 150], [58, 110, 190], [116, 165, 215], [180, 210, 235], [242, 242, 242], [245, 205, 180],
   [230, 150, 115], [200, 85, 65], [150, 20, 40]];
 const OPACITY = 0.72;
+const LEAST_PX = 0.01, LEAST_STRAIN = 1e-4; // Colours never spread over less: that would paint noise.
 const ACROSS = 26;
 const QUANTITIES = [
   { id: "size", name: "Displacement, size", of: "grid", value: (a, c) => Math.hypot(a, c) },
@@ -46,12 +47,12 @@ class Maps {
 
   // The largest size over the whole movie, so that colours mean the same in every frame.
   limit(quantity) {
-    let most = 0;
+    let most = quantity.of === "strain" ? LEAST_STRAIN : 0;
     if (quantity.of === "grid") {
       for (let at = 0; at < this.coded.length; at += 2) {
         if (this.coded[at] !== -32768) most = Math.max(most, Math.abs(quantity.value(this.coded[at], this.coded[at + 1])));
       }
-      return most * this.grid.unit_size;
+      return Math.max(most, LEAST_PX / this.grid.px_size) * this.grid.unit_size;
     }
     for (const frame of this.strain.E[quantity.id]) for (const value of frame) most = Math.max(most, Math.abs(value ?? 0));
     return most;
