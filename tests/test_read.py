@@ -17,7 +17,7 @@ from microbundle.config import Reading
 from microbundle.data import Movie
 from microbundle.errors import MovieUnreadable
 from microbundle.read import CACHE_BYTES, Cached, content_hash, prepare, read_movie
-from microbundle.tiff import luminance
+from microbundle.formats.grey import luminance
 
 Image = NDArray[Any]
 SHAPE = (20, 30)

@@ -91,7 +91,7 @@ def test_frames_that_are_not_numbers_are_refused(tmp_path: Path, value: float) -
 def test_mixtures_of_channels_planes_and_times_are_refused(tmp_path: Path) -> None:
     mixed = np.zeros((3, 2, 4, *SHAPE), "uint16")
     tifffile.imwrite(tmp_path / "m.tif", mixed, imagej=True, metadata={"axes": "TZCYX"})
-    assert "found axes T 3, Z 2, C 4. Save one channel" in refused(tmp_path / "m.tif")
+    assert "found axes T 3, Z 2, C 4. Choose with --reading.z (0 to 1)" in refused(tmp_path / "m.tif")
     tifffile.imwrite(tmp_path / "o.ome.tif", mixed[:, 0], ome=True, metadata={"axes": "TCYX"})
     assert "T 3, C 4" in refused(tmp_path / "o.ome.tif")
 

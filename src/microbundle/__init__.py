@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .errors import (
         CalibrationMissing,
         CannotMeasure,
+        ChoiceMissing,
         ConfigError,
         MaskUnusable,
         MicrobundleError,
@@ -48,9 +49,9 @@ _HOME = {
     **dict.fromkeys(("write_index", "write_report"), "report"),
     **dict.fromkeys(("follow_body", "follow_points"), "subsets"),
     **dict.fromkeys(("alternatives", "displacement_error_at", "standard_errors"), "uncertainty"),
-    **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ConfigError", "MaskUnusable", "MicrobundleError",
-                     "MovieUnreadable", "NoPillars", "NoTexture", "NoTissue", "OutputError", "ResultUnreadable"),
-                    "errors"),
+    **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ChoiceMissing", "ConfigError", "MaskUnusable",
+                     "MicrobundleError", "MovieUnreadable", "NoPillars", "NoTexture", "NoTissue", "OutputError",
+                     "ResultUnreadable"), "errors"),
 }
 """Module of each public name; they are imported when first used, so that `import microbundle` is fast."""
 
@@ -58,6 +59,7 @@ __all__ = [
     "Analysis",
     "CalibrationMissing",
     "CannotMeasure",
+    "ChoiceMissing",
     "Config",
     "ConfigError",
     "MaskUnusable",

@@ -34,7 +34,8 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
     Parameters
     ----------
     movie
-        A folder of single-frame TIFFs (also the layout movie/ and masks/), or a multi-page TIFF.
+        A folder of single-frame TIFFs (also the layout movie/ and masks/), or a TIFF, ND2, CZI, LIF, AVI, MP4, MOV or
+        MKV file; `microbundle info` shows what is in it.
     out
         New folder for the results; by default NAME_microbundle in the current folder.
     overwrite
@@ -78,7 +79,8 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
     if excel:
         check_writer()
     with progress_bar(quiet or json) as tell:
-        opened = read_movie(movie, tissue_mask=tissue_mask)
+        part = settings.reading
+        opened = read_movie(movie, tissue_mask=tissue_mask, series=part.series, channel=part.channel, z=part.z)
         folder = out or Path(f"{opened.name}_microbundle")
         check_free(folder, KIND, overwrite)
         analysis = run(opened, settings, tell=tell)
@@ -110,6 +112,47 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
     return VERDICT_FAIL if analysis.verdict == "fail" else 0
 
 
+def info(file: Path, *, series: int | None = None, channel: int | None = None, z: int | None = None,
+         json: Switch = False) -> int:
+    """Show what is inside a movie file or folder, and what would be taken from it.
+
+    Parameters
+    ----------
+    file
+        A folder of TIFFs, or a TIFF, ND2, CZI, LIF, AVI, MP4, MOV or MKV file.
+    series
+        Which recording of several, counted from 0.
+    channel
+        Which channel of several, counted from 0.
+    z
+        Which focal plane of several, counted from 0.
+    json
+        Print one JSON object.
+    """
+    from .read import describe
+
+    found = describe(file, series=series, channel=channel, z=z)
+    if json:
+        print_json(found)
+        return 0
+    rows = [(str(i), s["name"], " ".join(f"{axis} {n}" for axis, n in s["sizes"].items()), ", ".join(s["channels"]),
+             f"{s['bits'] or ''}", s["compression"]) for i, s in enumerate(found["series"])]
+    print_rows(f"{found['file']}: {found['format']}", ("series", "name", "sizes", "channels", "bits", "compression"),
+               rows)
+    movie = found["movie"]
+    if movie is None:
+        print(found["to_choose"])
+        return 0
+    print(f"movie: {movie['frames']} frames of {movie['rows']} x {movie['cols']} px, {movie['number_type']}")
+    for name, value, unit in (("pixel size", "um_per_px", "um"), ("frame rate", "frames_per_s", "1/s")):
+        source = movie["um_per_px_source" if value == "um_per_px" else "time_source"]
+        print(f"{name}: not known" if movie[value] is None else
+              f"{name}: {number(movie[value])} {unit} (from the {source})")
+    for finding in movie["findings"]:
+        print(f"{finding['level']}: {finding['message']}")
+    return 0
+
+
 def trace(file: Path, *, fps: float | None = None, inverted: Switch = False, result: Path | None = None,
           out: Path | None = None, json: Switch = False) -> int:
     """Measure the beats of a trace, such as calcium or voltage, and the delay of the contraction.
@@ -135,7 +178,7 @@ def trace(file: Path, *, fps: float | None = None, inverted: Switch = False, res
     from .trace import cut_trace, mean_trace, read_trace, trace_table
 
     analysis = None if result is None else load(result)
-    if analysis is not None and (file.is_dir() or file.suffix.lower() in (".tif", ".tiff")):
+    if analysis is not None and (file.is_dir() or file.suffix.lower() not in (".csv", ".txt", ".tsv", ".dat")):
         from .read import calibrated, read_movie
 
         time_s, value = mean_trace(calibrated(read_movie(file), fps, None), analysis.masks.tissue)

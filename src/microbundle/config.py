@@ -25,8 +25,14 @@ class Params(BaseModel):
 
 
 class Reading(Params):
-    """What is done to the frames, in memory, before anything else. The files are never changed."""
+    """What is taken from the file, and done to the frames in memory before anything else. Files are never changed."""
 
+    series: Annotated[int, Ge(0)] | None = None
+    """Which recording (series, scene, position, image) of a file with several, counted from 0."""
+    channel: Annotated[int, Ge(0)] | None = None
+    """Which channel of a file with several, counted from 0."""
+    z: Annotated[int, Ge(0)] | None = None
+    """Which focal plane of a file with several, counted from 0."""
     crop_px: tuple[int, int, int, int] | None = None
     """Keep only this rectangle: first row, end row, first column, end column (the ends are not included)."""
     first_frame: Annotated[int, Ge(0)] = 0

@@ -76,6 +76,8 @@ class Movie:
     files: tuple[Path, ...] = ()
     """The files the frames come from, in order; empty for a movie made in memory."""
     findings: tuple[Finding, ...] = ()
+    taken: Mapping[str, int] = field(default_factory=dict)
+    """Which `series`, `channel` and `z` of the file it is, counted from 0; empty for a movie made in memory."""
 
     def __post_init__(self) -> None:
         if self.time_s is not None:

@@ -3,6 +3,7 @@
     MicrobundleError            exit code 1
     +-- ConfigError             2   a setting that is not allowed, or a wrong command line
     +-- MovieUnreadable         4   the movie, or a file given with it, cannot be read
+    |   +-- ChoiceMissing       4   a file holds several series, channels or focal planes, and none was chosen
     |   +-- MaskUnusable        4   a supplied mask does not fit the movie, or marks nothing
     |   +-- ResultUnreadable    4   a result file cannot be read
     +-- CannotMeasure           5   the movie was read, but what was asked cannot be measured on it
@@ -32,6 +33,10 @@ class MovieUnreadable(MicrobundleError):
     """A movie, or a file given with it, is missing, damaged, or of a kind that cannot be read."""
 
     exit_code = 4
+
+
+class ChoiceMissing(MovieUnreadable):
+    """A file holds several series, channels or focal planes; the message lists them and says how to choose."""
 
 
 class MaskUnusable(MovieUnreadable):

@@ -1,64 +1,88 @@
-"""Open a movie: any folder of single-frame TIFFs, or a multi-page TIFF, becomes a `Movie`.
+"""Open a movie: any folder of single-frame TIFFs, or a file of any format in `formats`, becomes a `Movie`.
 
 Frames are decoded when they are asked for, so a movie of any length takes the same memory. The user's files are only
 ever read. The optional preprocessing (crop, time window, filters, dropping of flashes) happens in memory, on the way.
 
-Time stamps and pixel size are taken from OME and ImageJ metadata; the resolution tag of a plain TIFF is not used,
-because most programs write a print resolution there.
+Time stamps and pixel size are the file's own; the resolution tag of a plain TIFF is not used, because most programs
+write a print resolution there.
 """
 
 from __future__ import annotations
 
 import hashlib
-import re
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import tifffile
 
-from .calibration import Calibration, tiff_calibration
 from .config import Reading
 from .data import Finding, Frames, Image, Movie
-from .errors import MovieUnreadable
+from .errors import ChoiceMissing, ConfigError, MovieUnreadable
+from .formats import leica, nikon, tiff, tiff_folder, video, zeiss
+from .formats.opened import Contents, Selection
+from .formats.tiff_folder import natural_key as natural_key
 from .mask_files import find_supplied_masks
 from .prepare import Prepared, find_flashes
-from .tiff import SUFFIXES, TiffFiles, TiffPages, axis_note, check_magic, colour_note, page_count
 
 CACHE_BYTES = 64 * 2**20
 """Decoded frames that are kept, so that short movies are decoded once although several stages read them."""
 
 
 def read_movie(path: Path | str, *, fps: float | None = None, um_per_px: float | None = None,
-               tissue_mask: Path | str | None = None) -> Movie:
-    """Open a folder of single-frame TIFFs or a multi-page TIFF as a `Movie`.
+               tissue_mask: Path | str | None = None, series: int | None = None, channel: int | None = None,
+               z: int | None = None) -> Movie:
+    """Open a folder of single-frame TIFFs, or a TIFF, ND2, CZI, LIF, AVI, MP4, MOV or MKV file, as a `Movie`.
 
     A folder may be the paper's layout (`movie/` with the frames, `masks/` beside it) or hold the frames itself; the
     frames are taken in the natural order of their names (2 before 10). `fps` and `um_per_px` (micrometres) win over
-    what the file says. `tissue_mask` is a file for `read_mask` and wins over the one in `masks/`.
+    what the file says. `tissue_mask` is a file for `read_mask` and wins over the one in `masks/`. `series`, `channel`
+    and `z` count from 0 and choose from a file that holds several.
 
-    Raises MovieUnreadable (missing, damaged, no frames, several movies) and MaskUnusable.
+    Raises MovieUnreadable (missing, damaged, no frames, several movies), ChoiceMissing (several series, channels or
+    focal planes, and none chosen) and MaskUnusable.
     """
     path = Path(path).expanduser()
     _check_positive("fps", fps)
     _check_positive("um_per_px", um_per_px)
-    try:
-        is_folder, is_file = path.is_dir(), path.is_file()
-    except OSError as error:
-        raise MovieUnreadable(f"{path}: the movie cannot be read: {error.strerror or error}") from None
-    if not (is_folder or is_file):
-        raise MovieUnreadable(f"{path}: expected a movie (a folder of TIFFs or a TIFF file); there is no such file")
-    frames, files, findings, found = _open_folder(path) if is_folder else _open_file(path)
-
-    first = frames[0]
+    opened = _guarded(path, "open_movie", Selection(series, channel, z))
+    first = opened.frames[0]
     masks = find_supplied_masks(path, first.shape, tissue_mask)
+    found = opened.calibration
     movie = Movie(
-        name=_name(path), frames=Cached(frames), shape=_shape(first), time_s=found.time_s,
+        name=_name(path), frames=Cached(opened.frames), shape=_shape(first), time_s=found.time_s,
         time_source=found.time_source, um_per_px=found.um_per_px, um_per_px_source=found.um_per_px_source,
-        supplied_masks=masks, files=files, findings=findings,
+        supplied_masks=masks, files=opened.files, findings=opened.all_findings, taken=opened.choice.taken,
     )
     return calibrated(movie, fps, um_per_px)
+
+
+def describe(path: Path | str, *, series: int | None = None, channel: int | None = None,
+             z: int | None = None) -> dict[str, Any]:
+    """List what is inside a file or folder: its series, and the movie that one of them, or the chosen one, makes.
+
+    The key `movie` is None where something has to be chosen first; `to_choose` then says what. Raises MovieUnreadable.
+    """
+    path = Path(path).expanduser()
+    inside: Contents = _guarded(path, "contents")
+    out: dict[str, Any] = {
+        "file": str(path), "format": inside.format,
+        "series": [{"name": s.name, "sizes": dict(s.sizes), "channels": list(s.channels), "bits": s.bits,
+                    "compression": s.compression} for s in inside.series],
+        "movie": None, "to_choose": None,
+    }
+    try:
+        movie = read_movie(path, series=series, channel=channel, z=z)
+    except ChoiceMissing as missing:
+        return out | {"to_choose": str(missing).removeprefix(f"{path}: ")}
+    return out | {"movie": {
+        "name": movie.name, "frames": movie.count, "rows": movie.shape[0], "cols": movie.shape[1],
+        "number_type": str(movie.frames[0].dtype), "taken": dict(movie.taken), "um_per_px": movie.um_per_px,
+        "um_per_px_source": movie.um_per_px_source, "frames_per_s": movie.frames_per_s,
+        "time_source": movie.time_source, "duration_s": None if movie.time_s is None else float(movie.time_s[-1]),
+        "masks": sorted(movie.supplied_masks),
+        "findings": [vars(f) for f in movie.findings]}}
 
 
 def calibrated(movie: Movie, fps: float | None, um_per_px: float | None) -> Movie:
@@ -73,8 +97,13 @@ def calibrated(movie: Movie, fps: float | None, um_per_px: float | None) -> Movi
 def prepare(movie: Movie, reading: Reading) -> Movie:
     """Cut and filter a movie in memory as the settings ask; the frames stay decoded on demand.
 
-    Raises MovieUnreadable where the crop or the time window lies outside the movie.
+    Raises MovieUnreadable where the crop or the time window lies outside the movie, and ConfigError where the settings
+    choose another series, channel or focal plane than was opened.
     """
+    for name in ("series", "channel", "z"):
+        if (wanted := getattr(reading, name)) is not None and movie.taken.get(name) != wanted:
+            raise ConfigError(f"{movie.name}: reading.{name} is {wanted}, but the movie was opened with "
+                              f"{movie.taken.get(name)}. Give {name}={wanted} to read_movie")
     count, (rows, cols) = movie.count, movie.shape
     stop = count if reading.stop_frame is None else min(reading.stop_frame, count)
     if reading.first_frame >= stop:
@@ -118,12 +147,12 @@ def content_hash(movie: Movie) -> str:
 
 
 class Cached:
-    """Frames that keep what was decoded, up to a fixed number of bytes."""
+    """Frames that keep what was decoded, up to a fixed number of bytes; a copy in another process starts empty."""
 
     def __init__(self, frames: Frames) -> None:
         self._frames = frames
-        first = frames[0]
-        self._get = lru_cache(maxsize=max(1, CACHE_BYTES // max(1, first.nbytes)))(self._decode)
+        self._most = max(1, CACHE_BYTES // max(1, frames[0].nbytes))
+        self._get = lru_cache(maxsize=self._most)(self._decode)
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -134,81 +163,55 @@ class Cached:
             raise IndexError(f"frame {index} is not one of the {count} frames of this movie")
         return self._get(int(index) % count)
 
+    def __getstate__(self) -> tuple[Frames, int]:
+        return self._frames, self._most
+
+    def __setstate__(self, state: tuple[Frames, int]) -> None:
+        self._frames, self._most = state
+        self._get = lru_cache(maxsize=self._most)(self._decode)
+
     def _decode(self, index: int) -> Image:
         frame = self._frames[index]
         frame.setflags(write=False)
         return frame
 
 
-Opened = tuple[Frames, tuple[Path, ...], tuple[Finding, ...], Calibration]
-
-
-def _open_folder(folder: Path) -> Opened:
+def _guarded(path: Path, task: str, *arguments: Any) -> Any:
+    """Let the format of a file do a task; whatever goes wrong with the file itself is MovieUnreadable."""
     try:
-        home = folder / "movie" if (folder / "movie").is_dir() else folder
-        files = tuple(sorted((f for f in home.iterdir() if _is_tiff_name(f)),
-                             key=lambda f: (natural_key(f.name), f.name)))
+        is_folder, is_file = path.is_dir(), path.is_file()
+        if not (is_folder or is_file):
+            raise MovieUnreadable(f"{path}: expected a movie (a folder of TIFFs or a movie file); there is no such "
+                                  "file")
+        return getattr(_format(path, is_folder), task)(path, *arguments)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise MovieUnreadable(f"{path}: the movie cannot be read: {reason}") from None
+
+
+def _format(path: Path, is_folder: bool) -> Any:
+    """Choose the module that reads a file, by its first bytes."""
+    if is_folder:
+        return tiff_folder
+    try:
+        with path.open("rb") as stream:
+            magic = stream.read(64)
     except OSError as error:
-        raise MovieUnreadable(f"{folder}: the folder cannot be read: {error.strerror or error}") from None
-    if not files:
-        raise MovieUnreadable(f"{home}: expected TIFF files ({', '.join(SUFFIXES)}, any case); found none")
-    pages = page_count(files[0])
-    if pages > 1 and len(files) > 1:
-        raise MovieUnreadable(f"{home}: expected one frame in each file; {files[0].name} holds {pages}. "
-                              "A folder of movies is not one movie: give one of its files")
-    if len(files) == 1 and pages > 1:
-        return _open_file(files[0])
-    frames = TiffFiles(files)
-    with tifffile.TiffFile(files[0]) as tiff:
-        found = tiff_calibration(tiff, len(files))
-    return frames, files, colour_note(files[0]) + name_notes(files) + found.findings, found
-
-
-def _open_file(file: Path) -> Opened:
-    check_magic(file)
-    pages = TiffPages(file)
-    found = tiff_calibration(pages.tiff, len(pages))
-    return pages, (file,), colour_note(file) + axis_note(pages.axes) + found.findings, found
-
-
-def name_notes(files: tuple[Path, ...]) -> tuple[Finding, ...]:
-    """Say where the names of the frames suggest that some are missing, or that they are of several movies."""
-    stems = [file.stem.casefold() for file in files]
-    patterns = sorted({re.sub(r"\d+", "#", stem) for stem in stems})
-    if len(patterns) > 1:
-        return (Finding("names_differ", "review", f"the file names follow {len(patterns)} patterns "
-                        f"({patterns[0]}, {patterns[1]}{', ...' if len(patterns) > 2 else ''}); all were taken as one "
-                        "movie, in the natural order of their names", float(len(patterns)), 1.0),)
-    numbers = np.array([[float(n) for n in re.findall(r"\d+", stem)] for stem in stems])
-    counting = numbers[:, np.ptp(numbers, axis=0) > 0]
-    if counting.shape[1] != 1:
-        return ()
-    steps = np.diff(counting[:, 0])
-    jumps = np.flatnonzero(steps > steps.min())
-    if not jumps.size:
-        return ()
-    return (Finding("frames_missing", "review", f"the numbers in the file names jump after {files[jumps[0]].name}"
-                    f"{f' and {jumps.size - 1} times more' if jumps.size > 1 else ''}; where frames are missing, times "
-                    "and periods are wrong", float(jumps.size), 0.0),)
-
-
-def natural_key(name: str) -> list[tuple[int, int | str]]:
-    """Make a sort key that puts `2` before `10`, whatever the case of the letters."""
-    key: list[tuple[int, int | str]] = []
-    digits = ""
-    for char in name.casefold() + "\0":
-        if char.isdecimal() and char.isascii():
-            digits += char
-            continue
-        if digits:
-            key.append((0, int(digits)))
-            digits = ""
-        key.append((1, char))
-    return key
-
-
-def _is_tiff_name(file: Path) -> bool:
-    return file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file()
+        raise MovieUnreadable(f"{path}: the file cannot be read: {error.strerror or error}") from None
+    if magic[:4] in tiff.MAGIC:
+        return tiff
+    if magic.startswith(nikon.MAGIC):
+        return nikon
+    if magic.startswith(zeiss.MAGIC):
+        return zeiss
+    if leica.is_leica(magic):
+        return leica
+    if video.format_of(magic):
+        return video
+    what = "an empty file" if not magic else f"a file that starts with {magic[:4]!r}"
+    if magic.startswith(b"version https://git-lfs"):
+        what = "a pointer of Git LFS, not the file itself; fetch it with `git lfs pull`"
+    raise MovieUnreadable(f"{path}: expected a TIFF, ND2, CZI, LIF, AVI, MP4, MOV or MKV file; found {what}")
 
 
 def _name(path: Path) -> str:

@@ -1,0 +1,237 @@
+"""Read videos with PyAV: the time of each frame is its own time stamp, never its number times 1/fps.
+
+The file is listed once without decoding. A frame is found by seeking the key frame before it and decoding from there;
+what is decoded on the way is kept, within a fixed number of bytes. Grey is the video's own brightness (luma),
+untouched. Videos with a mark to be shown turned by 90, 180 or 270 degrees are turned, as every player does.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+
+from ..calibration import Calibration
+from ..data import Finding, Image, Ints
+from ..errors import MicrobundleError, MovieUnreadable
+from .grey import check_size, luminance, undecodable
+from .opened import Contents, FileFrames, Opened, Selection, Series, choose
+
+CACHE_BYTES = 32 * 2**20
+FORMATS = {"avi": "AVI", "mov": "MP4 or QuickTime", "matroska": "Matroska"}
+QUICKTIME = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")
+
+
+def format_of(magic: bytes) -> str | None:
+    """Tell a video by its first bytes: avi, mov (also MP4), matroska (also WebM), or None."""
+    if magic[:4] == b"RIFF" and magic[8:12] == b"AVI ":
+        return "avi"
+    if magic[4:8] in QUICKTIME:
+        return "mov"
+    return "matroska" if magic[:4] == b"\x1a\x45\xdf\xa3" else None
+
+
+def contents(file: Path) -> Contents:
+    """List the video streams of a file. Raises MovieUnreadable."""
+    listed = _listed(file)
+    return Contents(FORMATS[listed[0].form], tuple(one.series for one in listed))
+
+
+def open_movie(file: Path, selection: Selection) -> Opened:
+    """Open one stream of a video. Raises MovieUnreadable and ChoiceMissing."""
+    listed = _listed(file)
+    inside = Contents(FORMATS[listed[0].form], tuple(one.series for one in listed))
+    choice = choose(file, inside, selection)
+    track = listed[choice.series]
+    frames = VideoFrames(file, choice, track)
+    frames[0]
+    times = (track.stamps - track.stamps[0]) * track.unit_s
+    return Opened(inside, choice, frames, (file,), Calibration(times), _notes(track, frames.turns))
+
+
+@dataclass(frozen=True)
+class _Track:
+    """One stream of a video, as its packets list it."""
+
+    form: str
+    number: int
+    series: Series
+    stamps: Ints
+    """Time stamp of each frame (T,), rising."""
+    keys: Ints
+    """Time stamps from which decoding can start."""
+    unit_s: float
+    lossy: bool
+    colour: bool
+
+
+class VideoFrames(FileFrames):
+    """Frames of one stream of a video."""
+
+    def __init__(self, file: Path, choice: Any, track: _Track) -> None:
+        super().__init__(file, choice)
+        self._track = track
+        self._kept: OrderedDict[int, Image] = OrderedDict()
+        self.turns = 0
+        """Quarter turns, against the clock, at which the video is to be shown."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return super().__getstate__() | {"_kept": OrderedDict()}
+
+    def _open(self) -> _Decoder:
+        return _Decoder(self.file, self._track)
+
+    def _read(self, index: int) -> tuple[Image, str]:
+        if index in self._kept:
+            return self._kept[index], "YX"
+        decoder: _Decoder = self._handle
+        stamp = int(self._track.stamps[index])
+        for start in decoder.starts(index):
+            for frame in decoder.frames(start):
+                place = int(np.searchsorted(self._track.stamps, frame.pts))
+                if place < len(self) and self._track.stamps[place] == frame.pts and not frame.is_corrupt:
+                    self.turns = round(float(frame.rotation) / 90) % 4
+                    self._keep(place, np.rot90(_grey(frame), self.turns).copy())
+                if frame.pts >= stamp:
+                    break
+            if index in self._kept:
+                return self._kept[index], "YX"
+        raise ValueError("the frame is listed, but cannot be decoded; the file is damaged or cut off")
+
+    def _keep(self, index: int, frame: Image) -> None:
+        self._kept[index] = frame
+        self._kept.move_to_end(index)
+        while len(self._kept) > max(1, CACHE_BYTES // frame.nbytes):
+            self._kept.popitem(last=False)
+
+
+class _Decoder:
+    """An open video, and where in it decoding stands."""
+
+    def __init__(self, file: Path, track: _Track) -> None:
+        self._file, self._track = file, track
+        self._flow: Iterator[Any] = iter(())
+        self._at: int | None = None
+        """Time stamp of the last frame that was decoded."""
+        self._rewind()
+
+    def starts(self, index: int) -> Iterator[int | None]:
+        """Give the ways to reach a frame: go on (None), from the key frame before it, from the beginning."""
+        stamp, first = int(self._track.stamps[index]), int(self._track.stamps[0])
+        before = self._track.keys[self._track.keys <= stamp]
+        key = int(before[-1]) if len(before) else first
+        if self._at is not None and key <= self._at < stamp:
+            yield None
+        if key > first:
+            yield key
+        yield first
+
+    def frames(self, start: int | None) -> Iterator[Any]:
+        """Decode from a time stamp, or go on from the last frame."""
+        if start == int(self._track.stamps[0]):
+            self._rewind()
+        elif start is not None:
+            try:
+                self._container.seek(start, backward=True, any_frame=False, stream=self._stream)
+                self._flow = self._container.decode(self._stream)
+            except av.FFmpegError:
+                self._rewind()
+        for frame in self._flow:
+            if frame.pts is not None:
+                self._at = int(frame.pts)
+                yield frame
+
+    def _rewind(self) -> None:
+        # Seeking to the beginning fails in files whose first frame has an earlier decoding time.
+        self._container = _container(self._file, self._track.form)
+        self._stream = self._container.streams.video[self._track.number]
+        self._flow = self._container.decode(self._stream)
+        self._at = None
+
+
+def _listed(file: Path) -> list[_Track]:
+    """List the streams of a video with the time stamps of their frames."""
+    with file.open("rb") as stream:
+        form = format_of(stream.read(16))
+    if form is None:
+        raise MovieUnreadable(f"{file}: expected a video")
+    try:
+        with _container(file, form) as container:
+            count = len(container.streams.video)
+        found = [_track(file, form, number) for number in range(count)]
+    except MicrobundleError:
+        raise
+    except Exception as error:  # the library raises many kinds on damaged files
+        raise undecodable(file, error) from None
+    if not found:
+        raise MovieUnreadable(f"{file}: expected pictures; found a {FORMATS[form]} file without a video stream")
+    return found
+
+
+def _container(file: Path, form: str) -> Any:
+    # The prefix and the format keep a name or a content from being taken for an address.
+    return av.open(f"file:{file.resolve()}", format=form, metadata_errors="replace")
+
+
+def _track(file: Path, form: str, number: int) -> _Track:
+    with _container(file, form) as container:
+        stream = container.streams.video[number]
+        context = stream.codec_context
+        if context is None or context.format is None:
+            raise MovieUnreadable(f"{file}: expected a video that can be decoded; found one of an unknown kind")
+        check_size(file, context.height, context.width, 3)
+        packets = [p for p in container.demux(stream) if p.size or p.dts is not None]
+        shown = [p for p in packets if p.size and not p.is_discard]
+        if len(packets) < stream.frames:
+            raise MovieUnreadable(f"{file}: expected {stream.frames} whole frames, as the file says; found "
+                                  f"{len(packets)}. It is cut off")
+        stamps: list[Any] = sorted(p.pts for p in shown) if all(p.pts is not None for p in shown) else []
+        keys = np.array(sorted(p.pts for p in packets if p.is_keyframe and p.pts is not None), int)
+        codec, pixels = context.codec, context.format
+        unit, rows, cols = float(stream.time_base or 0), int(context.height), int(context.width)
+    if not stamps or len(set(stamps)) < len(stamps):
+        stamps = _decoded_stamps(file, form, number)
+    if not stamps or unit <= 0:
+        raise MovieUnreadable(f"{file}: expected frames with time stamps; found none. Save the video again, or as TIFF")
+    series = Series("", {"T": len(stamps), "Y": rows, "X": cols}, (), int(pixels.components[0].bits), str(codec.name))
+    grey = pixels.name.startswith("gray")
+    return _Track(form, number, series, np.array(stamps, int), keys, unit, bool(codec.lossy), not grey)
+
+
+def _decoded_stamps(file: Path, form: str, number: int) -> list[int]:
+    """Find the time stamps by decoding the whole video, for files that list none."""
+    with _container(file, form) as container:
+        stamps = [frame.pts for frame in container.decode(container.streams.video[number])]
+    return sorted({int(stamp) for stamp in stamps if stamp is not None})
+
+
+def _grey(frame: Any) -> Image:
+    """Take the brightness of a frame as the file holds it; RGB as its luminance."""
+    first = frame.format.components[0]
+    if frame.format.name.startswith("gray") or (frame.format.is_planar
+                                                and frame.format.name.startswith(("yuv", "nv", "p0"))):
+        kind = "u1" if first.bits <= 8 else ">u2" if frame.format.is_big_endian else "<u2"
+        plane = frame.planes[0]
+        rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[:frame.height]
+        return np.asarray(rows.view(kind)[:, :frame.width].astype(kind[-2:]))
+    if first.bits > 8:
+        return luminance(frame.to_ndarray(format="rgb48le"))
+    return luminance(frame.to_ndarray(format="rgb24"))
+
+
+def _notes(track: _Track, turns: int) -> tuple[Finding, ...]:
+    notes = []
+    if track.lossy:
+        notes.append(Finding("compressed_video", "review", "the video is compressed with losses "
+                             f"({track.series.compression})"))
+    if track.colour:
+        notes.append(Finding("colour_converted", "info", "the video is in colour; its brightness was used"))
+    if turns:
+        notes.append(Finding("turned", "info", "the video is marked to be shown turned by "
+                             f"{90 * turns} degrees against the clock; it was turned"))
+    return tuple(notes)
