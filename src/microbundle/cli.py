@@ -19,6 +19,8 @@ app = App(name="microbundle", help="Displacement, strain and beat metrics from m
           version_flags=["--version"], help_format="plaintext", default_parameter=Parameter(negative_iterable=()),
           suppress_keyboard_interrupt=False)
 app.command("microbundle.commands:analyze", name="analyze", help="Measure one movie and write a folder of results.")
+app.command("microbundle.batch.commands:batch", name="batch", help="Measure many movies, resume where that was "
+            "stopped, and write tables over all of them.")
 app.command("microbundle.commands:info", name="info", help="Show what is inside a movie file or folder, and what would "
             "be taken from it.")
 app.command("microbundle.commands:trace", name="trace", help="Measure the beats of a trace, such as calcium, and the "

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,7 @@ class Progress:
 Tell = Callable[[Progress], None]
 
 
-def ignore(event: Progress) -> None:
+def ignore(event: object) -> None:
     """Hear an event and do nothing."""
 
 
@@ -31,3 +32,71 @@ def stage(tell: Tell, name: str, first: float, last: float) -> Callable[[float],
         tell(Progress(name, first + share * (last - first)))
 
     return within
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A run over many movies begins."""
+
+    movies: int
+    unchanged: int
+    """Of them, those that an earlier run has done."""
+
+
+@dataclass(frozen=True)
+class Started:
+    """A movie is being measured."""
+
+    movie: str
+
+
+@dataclass(frozen=True)
+class Progressed:
+    """How far a movie is."""
+
+    movie: str
+    stage: str
+    share: float
+    """Share of its analysis that is done, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A movie has a result."""
+
+    movie: str
+    verdict: str
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A movie has no result."""
+
+    movie: str
+    kind: str
+    """Name of the error."""
+    message: str
+
+
+@dataclass(frozen=True)
+class Completed:
+    """A run over many movies has ended, and its tables are written."""
+
+    movies: int
+    passed: int
+    review: int
+    fail: int
+    """Results with the verdict "fail"."""
+    failed: int
+    """Movies without a result."""
+    out: str
+
+
+BatchEvent = Planned | Started | Progressed | Finished | Failed | Completed
+TellBatch = Callable[[BatchEvent], None]
+
+
+def as_dict(event: BatchEvent) -> dict[str, Any]:
+    """Turn an event of a run into what is written as a line of JSON, its kind first."""
+    return {"event": type(event).__name__.lower(), **asdict(event)}

@@ -1,0 +1,102 @@
+"""Find the movies in a tree of folders by names, and by a glance at one file of a folder.
+
+A movie is a folder in the paper's layout (`movie/`), a folder of single-frame TIFFs, or a file. Several TIFFs in one
+folder can be either; the header of the first one that is a TIFF at all tells, and where none is, their names do. Other
+files beside the frames of a movie are taken to belong to it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..errors import ConfigError, MovieUnreadable
+from ..folder import LIST
+from ..read import natural_key
+
+FRAMES = (".tif", ".tiff")
+"""Names of files that may hold one frame of a movie each."""
+FILES = (*FRAMES, ".nd2", ".czi", ".lif", ".avi", ".mp4", ".mov", ".mkv")
+"""Names of files that may hold a whole movie."""
+DESCRIPTION = 270
+"""TIFF tag of the text in which ImageJ counts the frames of a file that lists only the first."""
+LOOKED_AT = 5
+"""Files of a folder that are looked at until one is a TIFF."""
+
+
+def find_movies(source: Path) -> list[tuple[str, Path]]:
+    """List the movies below a folder, as (name, path) in natural order of the names; a name is the path from there.
+
+    Hidden folders and those that microbundle wrote are left out. Raises MovieUnreadable where the folder cannot be
+    read, and ConfigError where it holds no movie.
+    """
+    try:
+        found = [(path.relative_to(source).as_posix(), path) for path in _below(source, set())]
+    except OSError as error:
+        raise MovieUnreadable(f"{error.filename or source}: the folder cannot be read: {error.strerror or error}"
+                              ) from None
+    if not found:
+        raise ConfigError(f"{source}: expected movies (folders of TIFFs, or files {', '.join(FILES)}); found none")
+    found = [(source.resolve().name if name == "." else name, path) for name, path in found]
+    return sorted(found, key=lambda one: (natural_key(one[0]), one[0]))
+
+
+def _below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
+    about = folder.stat()
+    if (about.st_dev, about.st_ino) in seen:  # a link that leads back
+        return
+    seen.add((about.st_dev, about.st_ino))
+    with os.scandir(folder) as entries:
+        listed = [entry for entry in entries if not entry.name.startswith(".")]
+    if any(entry.name == LIST for entry in listed):
+        return
+    folders = {entry.name for entry in listed if entry.is_dir()}
+    files = sorted((entry.name for entry in listed if entry.name.lower().endswith(FILES) and entry.name not in folders),
+                   key=lambda name: (natural_key(name), name))
+    layout = "movie" in folders and any(name.lower().endswith(FRAMES) for name in os.listdir(folder / "movie"))
+    if layout or _one_movie(folder, files):
+        yield folder
+    else:
+        yield from (folder / name for name in files)
+    for name in sorted(folders - ({"movie", "masks"} if layout else {"masks"} if files else set())):
+        yield from _below(folder / name, seen)
+
+
+def _one_movie(folder: Path, files: list[str]) -> bool:
+    """Tell whether the files of a folder are the frames of one movie."""
+    frames = [name for name in files if name.lower().endswith(FRAMES)]
+    if len(frames) < 2:
+        return False
+    for name in frames[:LOOKED_AT]:
+        single = _single_frame(folder / name)
+        if single is not None:
+            return single
+    return len({re.sub(r"\d+", "#", name.casefold()) for name in frames}) == 1
+
+
+def _single_frame(file: Path) -> bool | None:
+    """Tell whether a TIFF holds one frame, from its first directory alone; None where it is no whole TIFF."""
+    try:
+        with file.open("rb") as stream:
+            start = stream.read(16)
+            order = {b"II": "<", b"MM": ">"}[start[:2]]
+            big = struct.unpack(order + "H", start[2:4])[0] == 43
+            offset, = struct.unpack_from(order + ("Q" if big else "I"), start, 8 if big else 4)
+            stream.seek(offset)
+            count, = struct.unpack(order + ("Q" if big else "H"), stream.read(8 if big else 2))
+            size = 20 if big else 12
+            tags = stream.read(count * size)
+            following, = struct.unpack(order + ("Q" if big else "I"), stream.read(8 if big else 4))
+            for at in range(0, len(tags), size):
+                code, _, length, where = struct.unpack_from(order + ("HHQQ" if big else "HHII"), tags, at)
+                if code == DESCRIPTION and length > 8:
+                    stream.seek(where)
+                    counted = re.search(rb"(?:images|frames)=(\d+)", stream.read(min(length, 1000)))
+                    if counted and int(counted[1]) > 1:
+                        return False
+            return bool(following == 0)
+    except (OSError, KeyError, struct.error):
+        return None

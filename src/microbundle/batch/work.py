@@ -1,0 +1,138 @@
+"""One movie in a worker: measured, its result written, then what became of it. Whatever happens is told, not raised.
+
+A worker is a process that takes tasks from its pipe. It ends when the run ends, even where that was killed.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from dataclasses import dataclass, replace
+from multiprocessing import parent_process
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from ..errors import MicrobundleError, OutputError
+from ..events import Progress, Progressed, Tell
+from .plan import Plan, Task, fingerprint
+from .state import RESULTS, Status, write_status
+
+BETWEEN_EVENTS_S = 0.25
+"""Progress within a movie is told no more often than this."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a worker needs to know of its task."""
+
+    task: Task
+    out: Path
+    version: str
+    report: bool
+    threads: int
+
+
+def job_of(task: Task, out: Path, plan: Plan, threads: int) -> Job:
+    """Make the job of a task of a plan."""
+    return Job(task, out, plan.version, plan.report, threads)
+
+
+def serve(pipe: Connection, alone: bool) -> None:
+    """Take jobs from the pipe until it closes, and send back progress and what became of each."""
+    import logging
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run decides when to stop
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)
+    threading.Thread(target=_end_with_run, daemon=True).start()
+    if not alone:
+        import cv2
+
+        cv2.setNumThreads(1)
+    while True:
+        try:
+            job = pipe.recv()
+            pipe.send(measure(job, _telling(pipe, job.task.movie)))
+        except (EOFError, OSError):
+            return
+
+
+def measure(job: Job, tell: Tell) -> Status:
+    """Measure one movie, write its result folder and then its status; never raises."""
+    task, start = job.task, time.perf_counter()
+    status = Status(task.movie, "failed", fingerprint(task.path), task.settings, job.version)
+    try:
+        verdict, beats = _measured(job, tell)
+        status = replace(status, state="done", verdict=verdict, beats=beats)
+    except MicrobundleError as error:
+        status = replace(status, kind=type(error).__name__, message=str(error),
+                         lasting=not isinstance(error, OutputError))
+    except MemoryError:
+        status = replace(status, kind="MemoryError", lasting=False,
+                         message=f"{task.movie}: expected room in memory for this movie; there was none. Use fewer "
+                                 "workers, or a crop (reading.crop_px)")
+    except Exception as error:  # a mistake in the program must not take the other movies along
+        status = replace(status, kind=type(error).__name__, lasting=False,
+                         message=f"{task.movie}: the program failed: {error} ({_place(error)}); please report this")
+    status = replace(status, seconds=round(time.perf_counter() - start, 3))
+    try:
+        write_status(job.out, task.key, status)
+    except OSError as error:
+        status = replace(status, state="failed", verdict="", kind=OutputError.__name__, lasting=False,
+                         message=f"{job.out}: what became of {task.movie} cannot be written: "
+                                 f"{error.strerror or error}")
+    return status
+
+
+def _measured(job: Job, tell: Tell) -> tuple[str, int]:
+    from ..config import Config, merge
+    from ..metrics import tables
+    from ..pipeline import analyze
+    from ..read import read_movie
+    from ..report import NAME, write_report
+    from ..store import save
+
+    config = job.task.config
+    if config.registration.threads is None:
+        config = Config.from_dict(merge(config.model_dump(exclude_unset=True),
+                                        {"registration": {"threads": job.threads}}))
+    part = config.reading
+    opened = read_movie(job.task.path, series=part.series, channel=part.channel, z=part.z)
+    analysis = analyze(replace(opened, name=job.task.movie), config, tell=tell)
+    made = tables(analysis)
+
+    def beside(folder: Path) -> None:
+        write_report(analysis, folder / NAME, made=made)
+
+    save(analysis, job.out / RESULTS / job.task.key, overwrite=True, made=made, extra=beside if job.report else None)
+    return analysis.verdict, int(analysis.beats.complete.sum())
+
+
+def _telling(pipe: Connection, movie: str) -> Tell:
+    """Send progress through the pipe, now and then."""
+    last = 0.0
+
+    def tell(event: Progress) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= BETWEEN_EVENTS_S:
+            last = now
+            pipe.send(Progressed(movie, event.stage, round(event.share, 3)))
+
+    return tell
+
+
+def _end_with_run() -> None:
+    run = parent_process()
+    if run is not None:
+        run.join()
+        os._exit(1)
+
+
+def _place(error: Exception) -> str:
+    """File and line in which an error arose."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return "" if trace is None else f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"
