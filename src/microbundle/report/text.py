@@ -129,8 +129,7 @@ def _about_errors(a: Analysis) -> str:
     if a.tracks.field is None or a.tracks.field.draws is None:
         return "This method gives no standard errors of the measurement; intervals are of the spread of the beats."
     return (f"Standard errors of the measurement come from {DRAWS} random draws of the registration's error; 95 % "
-            "intervals of means are by Student's t over the beats, and by the measurement's error where there is one "
-            "beat.")
+            "intervals of means are by Student's t over the beats, together with the measurement's error.")
 
 
 def changed_settings(config: Config) -> dict[str, Any]:
