@@ -1,6 +1,7 @@
 """Figures: every kind is drawn, with units, limits and reasons."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import matplotlib
 import numpy as np
@@ -13,7 +14,7 @@ from microbundle.errors import CannotMeasure, ConfigError, OutputError
 from microbundle.shown import Shown
 from microbundle.style import DIVERGING, SEQUENTIAL
 
-from .conftest import PEAK_PX, SHAPE, UM_PER_PX
+from .conftest import FPS, PEAK_PX, SHAPE, UM_PER_PX
 from .known_pillars import PEAK_PX as PILLAR_PX
 from .known_pillars import K, with_pillars
 
@@ -35,7 +36,7 @@ def image_values(figure):
 
 
 @pytest.mark.parametrize("kind", [kind for kind in figures.KINDS if kind != "delay"])
-def test_every_kind_draws_and_nothing_is_cut_off(full, kind):
+def test_every_kind_draws_and_no_text_is_cut_off_or_covered(full, kind):
     figure = figures.draw(full, kind)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
@@ -43,12 +44,16 @@ def test_every_kind_draws_and_nothing_is_cut_off(full, kind):
     named = [text for text in figure.findobj(Text) if text.get_text().strip() and text.get_visible()]
     assert named
     ticks = {label for axes in figure.axes for label in (*axes.get_xticklabels(), *axes.get_yticklabels())}
-    for text in set(named) - ticks:
-        box = text.get_window_extent()
+    boxes = [(text, text.get_window_extent()) for text in set(named) - ticks]
+    for k, (text, box) in enumerate(boxes):
         assert box.x0 > -1, text
         assert box.y0 > -1, text
         assert box.x1 < width + 1, text
         assert box.y1 < height + 1, text
+        for other, its in boxes[:k]:
+            wide, high = (min(a, b) - max(c, d) for a, b, c, d in
+                          ((box.x1, its.x1, box.x0, its.x0), (box.y1, its.y1, box.y0, its.y0)))
+            assert min(wide, high) < 1.5, (text, other)
 
 
 def test_units_follow_the_calibration(full):
@@ -184,3 +189,29 @@ def test_fast_results_draw_too(full):
     assert np.abs(values - field)[both].mean() < 0.25
     assert "standard error" not in texts(figures.draw(plain, "strain_cc_series"))
     assert "standard error" in texts(figures.draw(full, "strain_cc_series"))
+
+
+def test_the_delay_map_shows_known_delays(full):
+    """The strain of each column of sub-domains comes two frames after that of the column before."""
+    rows, cols = full.strain.grid
+    late = 2 * np.tile(np.arange(cols), rows)
+    F = np.stack([np.roll(full.strain.F[:, s], late[s], axis=0) for s in range(len(late))], axis=1)
+    shown = Shown(replace(full, strain=replace(full.strain, F=F)))
+    assert shown.delay * FPS == pytest.approx(late - np.median(late), abs=0.3)
+    figure = figures.draw(shown.analysis, "delay")
+    assert "Delay (ms)" in texts(figure)
+    assert f"{1e3 * shown.delay[0]:+.0f}".replace("-", "−") in texts(figure)
+
+
+def test_a_tissue_that_stands_upright_keeps_its_title_and_remarks(full):
+    """The picture is narrow then, and the figure as wide as ever."""
+    tissue = full.masks.tissue & (np.abs(np.arange(SHAPE[1]) - 96) < 14)
+    upright = replace(full, masks=replace(full.masks, tissue=tissue), pillars=None)
+    for kind in ("displacement", "principal", "tissue"):
+        figure = figures.draw(upright, kind)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        boxes = [text.get_window_extent() for text in figure.axes[0].findobj(Text) if text.get_text().strip()]
+        assert max(box.x1 for box in boxes) < canvas.get_width_height()[0] + 1
+        below = sorted((box.x0, box.x1) for box in boxes if box.y1 < figure.axes[0].get_window_extent().y0)
+        assert all(right <= left + 1 for (_, right), (left, _) in pairwise(below))

@@ -45,6 +45,8 @@ Limits = tuple[float, float]
 
 EDGE_MM, TITLE_MM, FOOT_MM, BAR_MM = 1.5, 5.0, 5.0, 15.0
 """Room at the sides, for the title, for the scale bar, and for the colour bar with its numbers."""
+NARROW_MM = 55.0
+"""A picture that is narrower has its remarks beside the scale bar, beyond its edge."""
 TALLEST = 1.0
 """Largest height of a picture over the width it could have."""
 ARROWS = 15
@@ -61,6 +63,8 @@ class Sheet:
 
     figure: Figure
     axes: Axes
+    right: float
+    """Where the remarks below the picture end, as a share of its width."""
     bar: Axes | None
 
 
@@ -70,14 +74,15 @@ def sheet(shown: Shown, width_mm: float, title: str, *, bar: bool) -> Sheet:
     room = width_mm - 2 * EDGE_MM - (BAR_MM if bar else 0)
     wide = min(room, TALLEST * room * (c1 - c0) / (r1 - r0))
     high = wide * (r1 - r0) / (c1 - c0)
-    figure = blank(wide + width_mm - room, high + TITLE_MM + FOOT_MM)
+    figure = blank(width_mm, high + TITLE_MM + FOOT_MM)
     axes = bare(place(figure, EDGE_MM, TITLE_MM, wide, high))
     axes.imshow(shown.picture, cmap="gray", vmin=0, vmax=1, extent=(c0 - 0.5, c1 - 0.5, r1 - 0.5, r0 - 0.5))
     axes.set_xlim(c0 - 0.5, c1 - 0.5)
     axes.set_ylim(r1 - 0.5, r0 - 0.5)
     axes.set_title(title, loc="left", fontsize=POINTS, pad=3)
     scale_bar(axes, c1 - c0, shown.px, shown.length_unit)
-    return Sheet(figure, axes, place(figure, EDGE_MM + wide + 1.5, TITLE_MM, 2.2, high) if bar else None)
+    right = wide if wide > NARROW_MM else room
+    return Sheet(figure, axes, right / wide, place(figure, EDGE_MM + wide + 1.5, TITLE_MM, 2.2, high) if bar else None)
 
 
 def tissue(shown: Shown, width_mm: float) -> Figure:
@@ -165,8 +170,8 @@ def _arrows(axes: Axes, shown: Shown) -> str:
     times = max(times, 1.0)
     where = np.nonzero(seen)
     axes.quiver(cols[where[1]], rows[where[0]], some[where][:, 1] * times, some[where][:, 0] * times, angles="xy",
-                scale_units="xy", scale=1, color="white", edgecolor=INK, linewidth=0.25, width=0.0045, headwidth=3.6,
-                headlength=4, headaxislength=3.6, minlength=0.5)
+                scale_units="xy", scale=1, color="white", edgecolor=INK, linewidth=0.25, width=0.0125, headwidth=3.6,
+                headlength=4, headaxislength=3.6, minlength=0.5, units="inches")
     return f"{times:g}"
 
 
@@ -272,7 +277,7 @@ def principal(shown: Shown, width_mm: float) -> Figure:
                                solid_capstyle="butt")
     page.axes.legend(handles=[Line2D([], [], color=BLUE, lw=1.4, label="shortening"),
                               Line2D([], [], color=RED, lw=1.4, label="lengthening")],
-                     loc="upper right", bbox_to_anchor=(1.0, 0.0), ncols=2, borderaxespad=0.35, handlelength=1.2,
+                     loc="upper right", bbox_to_anchor=(page.right, 0.0), ncols=2, borderaxespad=0.35, handlelength=1.2,
                      columnspacing=1.0, handletextpad=0.5, borderpad=0)
     return page.figure
 
@@ -314,9 +319,9 @@ def label(axes: Axes, place_px: Floats, text: str) -> None:
 
 
 def foot(page: Sheet, text: str) -> None:
-    """Write a remark below the picture, at its right."""
+    """Write a remark below the picture, at the right."""
     from matplotlib.transforms import ScaledTranslation
 
     shift = ScaledTranslation(0, -1.8 / 25.4, page.figure.dpi_scale_trans)
-    page.axes.text(1, 0, text, transform=page.axes.transAxes + shift, ha="right", va="center", fontsize=SMALL_POINTS,
-                   color=FAINT)
+    page.axes.text(page.right, 0, text, transform=page.axes.transAxes + shift, ha="right", va="center",
+                   fontsize=SMALL_POINTS, color=FAINT)

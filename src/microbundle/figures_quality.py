@@ -38,8 +38,8 @@ def quality(shown: Shown, width_mm: float) -> Figure:
                                   facecolor=LEVEL[analysis.verdict], edgecolor="none"))
     axes.text(EDGE_MM + 8.5, EDGE_MM + 3.3, analysis.verdict, color="white", weight="bold", ha="center", va="center",
               fontsize=POINTS + 1)
-    axes.text(EDGE_MM + 19.5, EDGE_MM + 0.3, textwrap.shorten(analysis.name, int((width_mm - 24) / LETTER_MM / 1.2)),
-              va="top", fontsize=POINTS, weight="bold")
+    name = textwrap.shorten(analysis.name, int((width_mm - 24) / LETTER_MM / 1.2), placeholder=" ...")
+    axes.text(EDGE_MM + 19.5, EDGE_MM + 0.3, name, va="top", fontsize=POINTS, weight="bold")
     axes.text(EDGE_MM + 19.5, EDGE_MM + 3.8, _size(shown), va="top", fontsize=SMALL_POINTS, color=FAINT)
     y = EDGE_MM + HEAD_MM - 3
     if not found:

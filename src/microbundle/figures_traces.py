@@ -149,8 +149,9 @@ def strain_series(shown: Shown, width_mm: float, part: str, limits: Limits | Non
         axes.xaxis.set_major_locator(nice_ticks(3))
         axes.yaxis.set_major_locator(nice_ticks(4))
         axes.tick_params(labelbottom=r == rows - 1, labelleft=c == 0)
-        axes.text(0.96, 0.06, name, transform=axes.transAxes, ha="right", va="bottom", fontsize=SMALL_POINTS,
-                  color=FAINT)
+        below = -low > top  # on the side of zero where there is more room
+        axes.text(0.96, 0.06 if below else 0.94, name, transform=axes.transAxes, ha="right",
+                  va="bottom" if below else "top", fontsize=SMALL_POINTS, color=FAINT)
     width, height = figure.get_size_inches() * 25.4
     figure.text(0.5 * (1 + (LEFT_MM - RIGHT_MM) / width), 1.2 / height,
                 f"Time from the tissue's half rise ({shown.time_unit})", ha="center", va="bottom", fontsize=POINTS)

@@ -251,7 +251,6 @@ class Frame:
         self.shape = height + height % 2, width + width % 2
         self._picture = slice(HEAD, HEAD + rows), slice(EDGE, EDGE + cols)
         self._line = slice(HEAD + rows + FOOT, HEAD + rows + FOOT + TRACE), slice(LEFT, self.shape[1] - EDGE)
-        self._label = "Time " if shown.time_unit == "s" else "Frame "
         with settings():
             self._faint, self._dot = self._drawn(view, colours, limits, label, FAINT)
             self._dark, _ = self._drawn(view, colours, limits, label, INK)
@@ -299,6 +298,8 @@ class Frame:
         text(EDGE, 16, label)
         if shown.time_unit == "s":
             text(EDGE + cols - 12, 16, "s")
+        else:
+            text(EDGE + cols - len(str(len(shown.time))) * PITCH - 6, 16, "frame", ha="right")
         bar = figure.colorbar(ScalarMappable(Normalize(*limits), colour_map(colours)),
                               cax=axes(EDGE + cols + 10, HEAD, 12, rows))
         bar.ax.tick_params(labelsize=7.5, width=0.6, length=2.5, pad=2)
