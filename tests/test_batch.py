@@ -215,7 +215,7 @@ def test_faults_become_rows_with_kind_and_message(ran: tuple[Outcome, list[Batch
     assert {name: (row["state"], row["failure_kind"]) for name, row in rows.items()} == {
         "A1.tif": ("done", ""), "A2": ("done", ""), "B1.tif": ("failed", "MovieUnreadable"),
         "B2": ("failed", "MaskUnusable"), "C1.tif": ("done", ""), "C2.tif": ("failed", "MovieUnreadable")}
-    assert "expected a TIFF; found an empty file" in rows["B1.tif"]["failure"]
+    assert "found an empty file" in rows["B1.tif"]["failure"]
     assert "expected a mask of 88 x 192 px" in rows["B2"]["failure"]
     assert (rows["C1.tif"]["verdict"], rows["C1.tif"]["beats"], rows["C1.tif"]["amplitude_um"]) == ("fail", "0", "")
     assert rows["A1.tif"]["amplitude_um"] == rows["A2"]["amplitude_um"] != ""
@@ -292,8 +292,10 @@ def test_fingerprints_see_frames_and_masks(tmp_path: Path) -> None:
     (tmp_path / "m" / "masks").mkdir()
     (tmp_path / "m" / "masks" / "tissue_mask.txt").write_text("1")
     seen.append(fingerprint(tmp_path / "m"))
+    (tmp_path / "m" / "movie" / "metadata.txt").touch()
+    seen.append(fingerprint(tmp_path / "m"))
     (tmp_path / "m" / "notes.txt").touch()
-    assert len(set(seen)) == 3
+    assert len(set(seen)) == 4
     assert fingerprint(tmp_path / "m") == seen[-1]
     assert fingerprint(tmp_path / "gone") == "missing"
 

@@ -38,7 +38,7 @@ def _translated(simple: str) -> str:
     for part in re.split(r"(\{[^{}]*\}|\*)", simple):
         if part == "*":
             out.append("[^/]*")
-        elif part.startswith("{"):
+        elif re.fullmatch(r"\{[^{}]*\}", part):
             out.append(f"(?P<{part[1:-1]}>{SHAPES.get(part[1:-1], '[^/]+?')})")
         elif "{" in part or "}" in part:
             raise re.error("a brace without its partner")

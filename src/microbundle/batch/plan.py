@@ -23,6 +23,8 @@ from .names import Pattern
 
 MANIFESTS = (".csv", ".tsv", ".txt")
 LONGEST_KEY = 100
+METADATA = "metadata.txt"
+"""Where Micro-Manager writes the times of the frames of a folder."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ def _files(path: Path) -> Iterator[tuple[str, os.stat_result]]:
         return
     home = path / "movie" if (path / "movie").is_dir() else path
     masks = (path.parent if path.name == "movie" else path) / "masks"
-    for folder, suffixes in ((home, FILES), (masks, "")):
+    for folder, suffixes in ((home, (*FILES, METADATA)), (masks, "")):
         if folder.is_dir():
             with os.scandir(folder) as entries:
                 wanted = [entry for entry in entries if not suffixes or entry.name.lower().endswith(suffixes)]
