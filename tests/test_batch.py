@@ -11,23 +11,29 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
+import xarray
 from numpy.typing import NDArray
 
 from microbundle import cli
+from microbundle.analysis import Analysis
 from microbundle.batch.manifest import read_manifest
 from microbundle.batch.names import Pattern
+from microbundle.batch.overview import read_overview
 from microbundle.batch.plan import fingerprint, make_plan
 from microbundle.batch.run import Outcome, run_batch
 from microbundle.batch.state import current
 from microbundle.config import Config
 from microbundle.errors import ConfigError, MovieUnreadable, OutputError
 from microbundle.events import BatchEvent, Completed, Failed, Finished, Planned, Progressed, Started
+from microbundle.report.index import summary_of_folder
+from microbundle.store import save
 
 Image = NDArray[Any]
 Captured = pytest.CaptureFixture[str]
@@ -99,7 +105,7 @@ def test_results_hidden_files_and_links_back_are_no_movies(plate: Path, tmp_path
     (tmp_path / "movies" / "A1.tif").symlink_to(plate / "A1.tif")
     (tmp_path / "movies" / "._A1.tif").touch()
     (tmp_path / "movies" / "old" / "x.tif").touch()
-    (tmp_path / "movies" / "old" / "microbundle.json").write_text("{}")
+    (tmp_path / "movies" / "old" / "microbundle.json").write_text('{"kind": "results"}')
     (tmp_path / "movies" / "again").symlink_to(tmp_path / "movies")
     assert [task.movie for task in make_plan(tmp_path / "movies").tasks] == ["A1.tif"]
 
@@ -239,6 +245,10 @@ def test_an_index_leads_to_each_report(ran: tuple[Outcome, list[BatchEvent]]) ->
     page = (ran[0].out / "index.html").read_text(encoding="utf-8")
     assert 'href="results/A2/report.html"' in page
     assert "B1.tif" not in page
+    folder = ran[0].out / "results" / "A2"
+    kept, made = read_overview(folder), summary_of_folder(folder)
+    assert replace(kept, metrics={}) == replace(made, metrics={})
+    assert kept.metrics == pytest.approx(made.metrics)
 
 
 def test_events_tell_of_everything_in_order(ran: tuple[Outcome, list[BatchEvent]]) -> None:
@@ -426,6 +436,17 @@ def test_a_full_disk_is_a_row_and_is_tried_again(four: Path, tmp_path: Path) -> 
                                                                         "M4.tif": "MovieUnreadable"}
     (out / "results" / "M1.tif").unlink()
     assert [status.movie for status in run_batch(plan, out, workers=1).failed] == ["M4.tif"]
+
+
+def test_a_disk_that_fills_up_while_a_result_is_written_is_told_as_such(
+        tissue_analysis: Analysis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise RuntimeError("file write failed: file descriptor = 6, errno = 28, error message = '...'")
+
+    monkeypatch.setattr(xarray.Dataset, "to_netcdf", full)
+    with pytest.raises(OutputError, match="No space left on device"):
+        save(tissue_analysis, tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_only_one_run_works_in_a_folder_and_never_in_another_kind(four: Path, tmp_path: Path) -> None:

@@ -7,6 +7,8 @@ units and descriptions as attributes.
 from __future__ import annotations
 
 import json
+import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -110,11 +112,17 @@ def save_netcdf(analysis: Analysis, file: Path, made: Mapping[str, pd.DataFrame]
     data = _with_errors(_to_dataset(analysis), analysis, made["strain"])
     packed = {name: {"zlib": True, "complevel": 1} for name, v in data.variables.items()
               if v.dtype.kind in "fiu" and v.size > 1000}
-    data.to_netcdf(file, engine="h5netcdf", encoding=packed)
-    for name, table in made.items():
-        if name in ("summary", "beats", "subdomains") and len(table):
-            rows = xr.Dataset.from_dataframe(table.rename_axis("entry"))
-            rows.to_netcdf(file, engine="h5netcdf", mode="a", group=f"tables/{name}")
+    try:
+        data.to_netcdf(file, engine="h5netcdf", encoding=packed)
+        for name, table in made.items():
+            if name in ("summary", "beats", "subdomains") and len(table):
+                rows = xr.Dataset.from_dataframe(table.rename_axis("entry"))
+                rows.to_netcdf(file, engine="h5netcdf", mode="a", group=f"tables/{name}")
+    except RuntimeError as error:  # so does HDF5 tell of a full disk
+        number = re.search(r"errno = (\d+)", str(error))
+        if number is None:
+            raise
+        raise OSError(int(number[1]), os.strerror(int(number[1])), str(file)) from None
 
 
 def _to_dataset(a: Analysis) -> xr.Dataset:

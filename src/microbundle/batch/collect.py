@@ -107,6 +107,7 @@ def write_parquet(table: Path, numbers: set[str]) -> Path:
 def _index(out: Path, plan: Plan, movies: list[str], files: list[Path], notes: list[str], *, changed: bool) -> None:
     """Write the page over all results."""
     from ..report import write_index
+    from .overview import read_overview
 
     if len(movies) > LARGEST_INDEX:
         notes.append(f"no index page: it would hold {len(movies)} movies, of at most {LARGEST_INDEX}")
@@ -114,6 +115,6 @@ def _index(out: Path, plan: Plan, movies: list[str], files: list[Path], notes: l
     page = out / INDEX
     if changed or not page.exists():
         keys = {task.movie: task.key for task in plan.tasks}
-        write_index([out / RESULTS / keys[movie] for movie in movies], page, title=plan.source.resolve().stem,
-                    overwrite=True)
+        shown = [read_overview(out / RESULTS / keys[movie]) for movie in movies]
+        write_index(shown, page, title=plan.source.resolve().stem, overwrite=True)
     files.append(page)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from contextlib import ExitStack
 from pathlib import Path
@@ -81,9 +82,10 @@ def batch(source: Path, *, out: Path | None = None, pattern: str | None = None, 
             outcome = run_batch(plan, out, workers=workers, retry=retry_failed, tell=tell)
         except KeyboardInterrupt:
             open_now.close()
-            if not json:
-                print(f"interrupted: {tally.ended} of {tally.movies} movies are done and kept; the same line goes on "
-                      "from there")
+            told = f"interrupted; {tally.ended} of {tally.movies} movies are done and kept. The same line goes on there"
+            if json:
+                print_json({"error": {"kind": "KeyboardInterrupt", "message": told, "exit_code": INTERRUPTED}})
+            print(f"error: {told}", file=sys.stderr)
             return INTERRUPTED
     if not (quiet or json):
         _print_outcome(outcome)

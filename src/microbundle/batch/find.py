@@ -7,6 +7,7 @@ files beside the frames of a movie are taken to belong to it.
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import struct
@@ -23,6 +24,8 @@ FILES = (*FRAMES, ".nd2", ".czi", ".lif", ".avi", ".mp4", ".mov", ".mkv")
 """Names of files that may hold a whole movie."""
 DESCRIPTION = 270
 """TIFF tag of the text in which ImageJ counts the frames of a file that lists only the first."""
+KINDS = ("results", "batch")
+"""Kinds of folders that microbundle wrote, in which no movies are looked for."""
 LOOKED_AT = 5
 """Files of a folder that are looked at until one is a TIFF."""
 
@@ -30,7 +33,7 @@ LOOKED_AT = 5
 def find_movies(source: Path) -> list[tuple[str, Path]]:
     """List the movies below a folder, as (name, path) in natural order of the names; a name is the path from there.
 
-    Hidden folders and those that microbundle wrote are left out. Raises MovieUnreadable where the folder cannot be
+    Hidden folders and those with results of microbundle are left out. Raises MovieUnreadable where the folder cannot be
     read, and ConfigError where it holds no movie.
     """
     try:
@@ -51,7 +54,7 @@ def _below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
     seen.add((about.st_dev, about.st_ino))
     with os.scandir(folder) as entries:
         listed = [entry for entry in entries if not entry.name.startswith(".")]
-    if any(entry.name == LIST for entry in listed):
+    if any(entry.name == LIST for entry in listed) and _holds_results(folder):
         return
     folders = {entry.name for entry in listed if entry.is_dir()}
     files = sorted((entry.name for entry in listed if entry.name.lower().endswith(FILES) and entry.name not in folders),
@@ -63,6 +66,14 @@ def _below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
         yield from (folder / name for name in files)
     for name in sorted(folders - ({"movie", "masks"} if layout else {"masks"} if files else set())):
         yield from _below(folder / name, seen)
+
+
+def _holds_results(folder: Path) -> bool:
+    """Tell whether microbundle wrote its results into a folder, rather than a rendered movie."""
+    try:
+        return json.loads((folder / LIST).read_text(encoding="utf-8"))["kind"] in KINDS
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
 
 
 def _one_movie(folder: Path, files: list[str]) -> bool:

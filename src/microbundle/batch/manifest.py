@@ -7,6 +7,7 @@ the settings of the run. All others are kept as text and come back in the tables
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -39,9 +40,9 @@ def read_manifest(file: Path) -> list[tuple[str, Path, dict[str, str]]]:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: expected a manifest, a CSV file in UTF-8: {error}") from None
     head = text.split("\n", 1)[0]
-    reader = csv.reader(text.splitlines(), delimiter=max(",;\t", key=head.count), strict=True)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=max(",;\t", key=head.count), strict=True)
     try:
-        rows = [(reader.line_num, row) for row in reader]
+        rows = list(enumerate(reader, 1))
     except csv.Error as error:
         raise ConfigError(f"{file}, row {reader.line_num}: expected cells in CSV: {error}") from None
     header = _header(file, rows[0][1] if rows else [])

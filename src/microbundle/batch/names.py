@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from ..errors import ConfigError
+from .manifest import SHORT
 
 SHAPES = {"well": r"[A-Za-z]{1,2}[0-9]{1,3}", "day": r"[0-9]+(?:\.[0-9]+)?"}
 """What a part of a name looks like; any other part is whatever stands there."""
@@ -22,14 +23,16 @@ class Pattern:
         except re.error as error:
             raise ConfigError(f"--pattern {text}: expected a pattern such as {{plate}}_{{well}}, or a regular "
                               f"expression with named groups: {error}") from None
-        self.columns = tuple(self._regex.groupindex)
+        self.columns = tuple(SHORT.get(name, name) for name in self._regex.groupindex)
         if not self.columns:
             raise ConfigError(f"--pattern {text}: expected named parts, such as {{plate}}_{{well}}; found none")
 
     def read(self, movie: str) -> dict[str, str]:
         """Find the columns in a movie's name; nothing where the pattern does not fit it."""
         found = self._regex.fullmatch(re.sub(r"(?:\.ome)?\.[A-Za-z][A-Za-z0-9]{1,4}$", "", movie))
-        return {} if found is None else {name: value or "" for name, value in found.groupdict().items()}
+        if found is None:
+            return {}
+        return {SHORT.get(name, name): value or "" for name, value in found.groupdict().items()}
 
 
 def _translated(simple: str) -> str:

@@ -92,6 +92,7 @@ def _measured(job: Job, tell: Tell) -> tuple[str, int]:
     from ..read import read_movie
     from ..report import NAME, write_report
     from ..store import save
+    from .overview import write_overview
 
     config = job.task.config
     if config.registration.threads is None:
@@ -104,6 +105,7 @@ def _measured(job: Job, tell: Tell) -> tuple[str, int]:
 
     def beside(folder: Path) -> None:
         write_report(analysis, folder / NAME, made=made)
+        write_overview(analysis, made["summary"], folder)
 
     save(analysis, job.out / RESULTS / job.task.key, overwrite=True, made=made, extra=beside if job.report else None)
     return analysis.verdict, int(analysis.beats.complete.sum())
