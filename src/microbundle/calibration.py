@@ -80,10 +80,9 @@ def _from_ome(text: str, count: int, series: int, axis: str, fixed: Mapping[str,
 
 def _from_pages(found: Calibration, page: Callable[[int], Any], count: int) -> Calibration:
     """Fill gaps from what Micro-Manager writes into each page."""
-    if page(0) is None or "MicroManagerMetadata" not in page(0).tags or (found.um_per_px and found.time_s is not None):
+    if (found.um_per_px and found.time_s is not None) or not _micromanager_tag(page(0)):
         return found
-    tags = [one.tags["MicroManagerMetadata"].value if one is not None and "MicroManagerMetadata" in one.tags else {}
-            for one in map(page, range(count))]
+    tags = [_micromanager_tag(page(t)) for t in range(count)]
     ms = [_number(tag.get("ElapsedTime-ms")) for tag in tags]
     um = found.um_per_px or _number(tags[0].get("PixelSizeUm")) or None
     times = found.time_s if found.time_s is not None or None in ms else rising(np.array(ms, float) / 1000)
@@ -94,6 +93,11 @@ def _ome_size(pixels: ElementTree.Element, side: str) -> float | None:
     size = _number(pixels.get(f"PhysicalSize{side}"))
     scale = UM_PER.get((pixels.get(f"PhysicalSize{side}Unit") or "µm").strip())
     return size * scale if size and scale else None
+
+
+def _micromanager_tag(page: Any) -> dict[str, Any]:
+    tag = None if page is None else page.aspage().tags.get("MicroManagerMetadata")
+    return tag.value if tag is not None and isinstance(tag.value, dict) else {}
 
 
 def _ome_times(pixels: ElementTree.Element, count: int, axis: str, fixed: Mapping[str, int]) -> Floats | None:

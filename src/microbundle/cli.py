@@ -69,7 +69,8 @@ def _silence_libraries() -> None:
     """Keep remarks about damaged files off the error stream: what matters in them becomes one of our errors."""
     import logging
 
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)
+    for name in ("tifffile", "czifile", "liffile", "nd2"):
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
 def _sentence(error: CycloptsError) -> str:

@@ -11,7 +11,19 @@ from ..calibration import Calibration, rising, square
 from ..data import Image
 from ..errors import MicrobundleError
 from .grey import undecodable
-from .opened import PLANE, Choice, Contents, FileFrames, Opened, Selection, Series, check_series, choose, require
+from .opened import (
+    PLANE,
+    Choice,
+    Contents,
+    FileFrames,
+    Opened,
+    Selection,
+    Series,
+    check_series,
+    choose,
+    ordered,
+    require,
+)
 
 
 def is_leica(magic: bytes) -> bool:
@@ -73,7 +85,7 @@ def _inspect(file: Path) -> tuple[Any, list[Any], Contents]:
 
 
 def _described(image: Any) -> Series:
-    sizes = {str(axis): int(n) for axis, n in image.sizes.items() if axis != "S"}
+    sizes = ordered(image.sizes)
     channels = list(image.xml_element.findall("./Data/Image/ImageDescription/Channels/ChannelDescription"))
     names = tuple(c.get("LUTName", "") for c in channels) if len(channels) == sizes.get("C", 1) else ()
     bits = int(channels[0].get("Resolution", "0")) or None if channels else None

@@ -13,7 +13,7 @@ from ..calibration import Calibration, rising, square
 from ..data import Image
 from ..errors import MicrobundleError
 from .grey import undecodable
-from .opened import Contents, FileFrames, Opened, Selection, Series, check_series, choose, require
+from .opened import Contents, FileFrames, Opened, Selection, Series, check_series, choose, ordered, require
 
 MAGIC = (b"\xda\xce\xbe\x0a", b"\0\0\0\x0cjP  ")
 """Of files since 2008, and of the older ones, which are JPEG 2000."""
@@ -85,12 +85,12 @@ def _inspect(file: Path) -> tuple[Any, Contents]:
             handle = nd2.ND2File(_Unmapped(file))
             sizes: dict[str, int] = dict(handle.sizes)
             attributes = handle.attributes
-            channels = tuple(str(c.channel.name) for c in getattr(handle.metadata, "channels", None) or ())
+            channels = tuple(str(c.channel.name) for c in _channels(handle))
             names = [p.name for loop in handle.experiment if loop.type == "XYPosLoop" for p in loop.parameters.points]
             bits = int(attributes.bitsPerComponentSignificant)
             compression = str(attributes.compressionType or "none")
             itemsize = int(handle.dtype.itemsize)
-        inner = {"Y": 1, "X": 1} | {a: int(n) for a, n in sizes.items() if a not in "PS"}
+        inner = ordered({axis: n for axis, n in sizes.items() if axis != "P"})
         count = sizes.get("P", 1)
         series = tuple(Series((names[i] if i < len(names) else None) or (f"position {i}" if count > 1 else ""), inner,
                               channels, bits, compression) for i in range(count))
@@ -103,6 +103,14 @@ def _inspect(file: Path) -> tuple[Any, Contents]:
     return handle, found
 
 
+def _channels(handle: Any) -> list[Any]:
+    """Give what the file says of its channels; nothing where the library cannot read that."""
+    try:
+        return list(handle.metadata.channels or ())
+    except Exception:  # pictures and times do not hang on it
+        return []
+
+
 def _calibration(handle: Any, numbers: list[int]) -> Calibration:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -111,7 +119,7 @@ def _calibration(handle: Any, numbers: list[int]) -> Calibration:
                if isinstance(r.get("Index"), int | float) and np.isfinite(r["Index"]) and "Time [s]" in r}
     times = rising(np.array([seconds[n] for n in numbers])) if all(n in seconds for n in numbers) else None
     found = Calibration(times)
-    channels = getattr(handle.metadata, "channels", None)
+    channels = _channels(handle)
     if not channels or not channels[0].volume.axesCalibrated[0]:
         return found
     um_col, um_row = (float(size) for size in channels[0].volume.axesCalibration[:2])

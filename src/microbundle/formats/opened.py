@@ -132,6 +132,12 @@ def require(file: Path, library: str, extra: str, what: str) -> Any:
                               ) from None
 
 
+def ordered(sizes: Mapping[str, int]) -> dict[str, int]:
+    """Bring the lengths of a library's axes in our order: the others, then Y and X; colour is no axis of ours."""
+    others = {str(axis): int(n) for axis, n in sizes.items() if axis not in PLANE}
+    return {**others, "Y": int(sizes.get("Y", 1)), "X": int(sizes.get("X", 1))}
+
+
 class FileFrames(ABC):
     """Frames of one file that stays open between them.
 

@@ -18,7 +18,7 @@ from ..calibration import tiff_calibration
 from ..data import Finding, Image
 from ..errors import MicrobundleError, MovieUnreadable
 from .grey import check_size, grey, undecodable
-from .opened import PLANE, Choice, Contents, FileFrames, Opened, Selection, Series, choose, stamp
+from .opened import PLANE, Choice, Contents, FileFrames, Opened, Selection, Series, choose, ordered, stamp
 
 SUFFIXES = (".tif", ".tiff")
 MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -38,10 +38,14 @@ def open_movie(file: Path, selection: Selection) -> Opened:
     handle = _Handle.open(file)
     choice = choose(file, handle.contents, selection)
     frames = TiffFrames(file, choice, handle)
-    found = tiff_calibration(handle.tiff, choice.count, choice.series, choice.axis, choice.fixed,
-                             lambda t: handle.page(choice, t))
     colour = "S" in handle.series[choice.series].axes
-    return Opened(handle.contents, choice, frames, handle.files(choice.series), found, colour_note(colour))
+    try:
+        found = tiff_calibration(handle.tiff, choice.count, choice.series, choice.axis, choice.fixed,
+                                 lambda t: handle.page(choice, t))
+        files = handle.files(choice.series)
+    except Exception as error:  # tifffile raises many kinds on damaged files
+        raise undecodable(file, error) from None
+    return Opened(handle.contents, choice, frames, files, found, colour_note(colour))
 
 
 def colour_note(colour: bool) -> tuple[Finding, ...]:
@@ -173,10 +177,10 @@ def _movies(tiff: tifffile.TiffFile, file: Path) -> list[Any]:
 
 def _described(tiff: tifffile.TiffFile, series: Any, number: int) -> Series:
     page = series.keyframe
-    sizes = {a: int(n) for a, n in zip(series.axes, series.shape, strict=True) if a != "S"}
+    sizes = ordered(dict(zip(series.axes, series.shape, strict=True)))
     labels: Any = (tiff.imagej_metadata or {}).get("Labels", ()) if tiff.is_imagej and number == 0 else ()
     names = tuple(str(name) for name in labels) if len(labels) == sizes.get("C", 1) > 1 else ()
-    return Series(series.name if tiff.is_ome else "", {"Y": 1, "X": 1} | sizes, names, int(page.bitspersample),
+    return Series(series.name if tiff.is_ome else "", sizes, names, int(page.bitspersample),
                   str(page.compression.name).lower())
 
 

@@ -18,6 +18,7 @@ from ..calibration import Calibration, rising, tiff_calibration
 from ..data import Finding
 from ..errors import MovieUnreadable
 from . import tiff
+from .grey import undecodable
 from .opened import Choice, Contents, Opened, Selection, Series, choose
 from .tiff import SUFFIXES, TiffFiles, colour_note, single_frame
 
@@ -53,9 +54,12 @@ def open_movie(folder: Path, selection: Selection) -> Opened:
     if places:
         return _micromanager(home, inside, choice, places)
     frames = TiffFiles(files)
-    with tifffile.TiffFile(files[0]) as first:
-        found = tiff_calibration(first, len(files))
-        colour = "S" in first.pages[0].axes
+    try:
+        with tifffile.TiffFile(files[0]) as first:
+            found = tiff_calibration(first, len(files))
+            colour = "S" in first.pages[0].axes
+    except Exception as error:  # tifffile raises many kinds on damaged files
+        raise undecodable(files[0], error) from None
     return Opened(inside, choice, frames, files, found, colour_note(colour) + name_notes(files))
 
 

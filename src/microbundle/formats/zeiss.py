@@ -12,7 +12,19 @@ from ..calibration import Calibration, rising, square
 from ..data import Floats, Image
 from ..errors import MicrobundleError, MovieUnreadable
 from .grey import undecodable
-from .opened import PLANE, Choice, Contents, FileFrames, Opened, Selection, Series, check_series, choose, require
+from .opened import (
+    PLANE,
+    Choice,
+    Contents,
+    FileFrames,
+    Opened,
+    Selection,
+    Series,
+    check_series,
+    choose,
+    ordered,
+    require,
+)
 
 MAGIC = b"ZISRAWFILE"
 DAYS = (3e4, 8e4)
@@ -78,7 +90,7 @@ def _inspect(file: Path) -> tuple[Any, list[Any], Contents]:
 
 
 def _described(scene: Any, count: int) -> Series:
-    sizes = {"Y": 1, "X": 1} | {str(a): int(n) for a, n in scene.sizes.items() if a != "S"}
+    sizes = ordered(scene.sizes)
     names = tuple(str(name) for name in scene.channels)
     return Series(str(scene.name) if count > 1 else "", sizes, names if len(names) == sizes.get("C", 1) else (),
                   8 * int(scene.dtype.itemsize), str(scene.compression.name).lower().replace("uncompressed", "none"))
