@@ -92,8 +92,8 @@ def errors(fps: float, noise: float, traces: int) -> tuple[Floats, Floats, int]:
 
 def main() -> None:
     traces = int(sys.argv[1]) if len(sys.argv) > 1 else 40
-    print("| frames/s | noise, % of amplitude | error, frames (RMS) | 99 % below | beats missed | in the 95 % interval |\n"
-          "|---|---|---|---|---|---|")
+    print("| frames/s | noise, % of amplitude | error, frames (RMS) | 99 % below | beats missed | in the 95 % "
+          "interval |\n|---|---|---|---|---|---|")
     for fps in RATES:
         for noise in NOISES:
             wrong, ratio, missed = errors(fps, noise, traces if noise else max(4, traces // 4))

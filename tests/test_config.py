@@ -32,7 +32,8 @@ def every_field(model: type[Params] = Config, above: Names = ()) -> Iterator[tup
 FIELDS = dict(every_field())
 EXAMPLES: dict[str, Any] = {
     "method": "paper", "fps": 25.0, "um_per_px": 0.5, "axis_deg": -10.0, "reading.crop_px": [1, 50, 2, 60],
-    "reading.stop_frame": 40, "reading.kernel": [[0.0, 1.0, 0.0]] * 3, "reading.drop_flashes": True,
+    "reading.series": 1, "reading.channel": 1, "reading.z": 2, "reading.stop_frame": 40,
+    "reading.kernel": [[0.0, 1.0, 0.0]] * 3, "reading.drop_flashes": True,
     "mask.method": "sobel", "tracking.window_px": 31, "tracking.reference_frame": 3, "grid.method": "thin_plate",
     "grid.extrapolate": True, "registration.whiten": "never",
     "registration.threads": 1, "strain.tiles": [3, 5], "strain.extents_px": [10.0, 50.0, 10.0, 90.0],

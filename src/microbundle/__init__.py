@@ -55,6 +55,9 @@ _HOME = {
 }
 """Module of each public name; they are imported when first used, so that `import microbundle` is fast."""
 
+_MODULES = ("figures", "movies")
+"""Public modules."""
+
 __all__ = [
     "Analysis",
     "CalibrationMissing",
@@ -98,7 +101,7 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("microbundle")
-    if name in ("figures", "movies"):
+    if name in _MODULES:
         return import_module(f".{name}", __name__)
     if name in _HOME:
         return getattr(import_module(f".{_HOME[name]}", __name__), name)

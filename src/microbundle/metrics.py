@@ -264,8 +264,9 @@ def _with_column_errors(analysis: Analysis, values: Mapping[str, Any],
 
 
 def _row(name: str, values: Floats, error: float, *, single: bool = False) -> dict[str, object]:
-    """n, mean, its standard error by measurement, and over beats SD, CV, median and the 95 % interval of the mean: by the
-    beats' spread, and, where it is known, by the measurement's error too, of which a part is common to all beats."""
+    """n, mean, its standard error by measurement, and over beats SD, CV, median and the 95 % interval of the mean: by
+    the beats' spread, and, where it is known, by the measurement's error too, of which a part is common to all beats.
+    """
     from scipy.special import stdtrit
 
     values = values[np.isfinite(values)]

@@ -1,10 +1,10 @@
 """Timing, size and speed of each beat of any signal: displacement, shortening, strain, force, calcium.
 
 Between frames a signal is a cubic spline through its values. In each beat it is measured against its baseline: the
-straight line through the mean of the relaxed frames before the peak and of those after it (of each rest the half that
-lies farther from the peak), so that drift within the beat is no error. The peak is where the signal stands highest above
-the baseline, and its height is the amplitude A. The level x % is the baseline plus x/100 of A; it is crossed where the
-signal last passes it before the peak, and first after it. Times are those of the spline, not of frames.
+straight line through the mean of the relaxed frames before the peak and of those after it (of each rest the half
+that lies farther from the peak), so that drift within the beat is no error. The peak is where the signal stands highest
+above the baseline, and its height is the amplitude A. The level x % is the baseline plus x/100 of A; it is crossed
+where the signal last passes it before the peak, and first after it. Times are those of the spline, not of frames.
 
 Definitions: docs/metrics.md. Nothing here knows units: times are in frames (those of `clock`), and sizes in the
 signal's own.
