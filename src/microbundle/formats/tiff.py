@@ -22,6 +22,7 @@ from .opened import PLANE, Choice, Contents, FileFrames, Opened, Selection, Seri
 
 SUFFIXES = (".tif", ".tiff")
 MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+MOST_TAGS = 4096
 MOST_PACKED = 2000
 """No usual compression makes a picture smaller than this; deflate reaches 1032."""
 
@@ -67,6 +68,7 @@ class _Handle:
     def open(cls, file: Path) -> _Handle:
         tiff = None
         try:
+            check_chain(file)
             tiff = tifffile.TiffFile(file)
             form = "OME-TIFF" if tiff.is_ome else "ImageJ TIFF" if tiff.is_imagej else "TIFF"
             series = _movies(tiff, file)
@@ -134,6 +136,7 @@ class TiffFiles:
                                   "and start again")
         try:
             # One file of a set in OME's layout names the others; here each file stands for itself.
+            check_chain(file)
             with tifffile.TiffFile(file, is_ome=False) as tiff:
                 count, page = page_count(tiff), tiff.pages[0]
                 _check_header(tiff.series[0], file)
@@ -150,6 +153,7 @@ class TiffFiles:
 def single_frame(file: Path) -> tuple[int, Series]:
     """Count the frames in one TIFF of a folder, and describe its picture. Raises MovieUnreadable."""
     try:
+        check_chain(file)
         with tifffile.TiffFile(file, is_ome=False) as tiff:
             _check_header(tiff.series[0], file)
             return page_count(tiff), _described(tiff, tiff.series[0], 0)
@@ -157,6 +161,31 @@ def single_frame(file: Path) -> tuple[int, Series]:
         raise
     except Exception as error:  # tifffile raises many kinds on damaged files
         raise undecodable(file, error) from None
+
+
+def check_chain(file: Path) -> None:
+    """Refuse a file whose pages follow each other in a circle, or have more tags than any page: tifffile would not end.
+
+    Raises MovieUnreadable.
+    """
+    with file.open("rb") as stream:
+        head = stream.read(16)
+        order = "<" if head[:2] == b"II" else ">"
+        big = head[2:4] in (b"+\0", b"\0+")
+        count, tag, link, first = ("Q", 20, "Q", head[8:16]) if big else ("H", 12, "I", head[4:8])
+        seen: set[int] = set()
+        while len(first) == struct.calcsize(link) and (place := struct.unpack(order + link, first)[0]):
+            stream.seek(min(place, 2**62))
+            number = stream.read(struct.calcsize(count))
+            if len(number) < struct.calcsize(count):
+                return
+            tags = struct.unpack(order + count, number)[0]
+            if place in seen or tags > MOST_TAGS:
+                what = "they follow each other in a circle" if place in seen else f"one has {tags} tags"
+                raise MovieUnreadable(f"{file}: expected a list of pages with an end; {what}. The TIFF is damaged")
+            seen.add(place)
+            stream.seek(tags * tag, 1)
+            first = stream.read(struct.calcsize(link))
 
 
 def page_count(tiff: tifffile.TiffFile) -> int:
