@@ -11,6 +11,7 @@ import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
+from operator import itemgetter
 from pathlib import Path
 
 from ..errors import ResultUnreadable
@@ -26,8 +27,7 @@ UNITS = ("", "_um", "_px", "_s", "_frames", "_un", "_kpa", "_um_per_s", "_px_per
 PLATE, MOVIES, INDEX = "plate.csv", "movies.csv", "index.html"
 LARGEST_INDEX = 500
 """Movies on an index page; each is a picture of some kilobytes."""
-
-Row = Mapping[str, str]
+MEAN = 1 + STATISTICS.index("mean")
 
 
 def write_tables(out: Path, plan: Plan, statuses: Mapping[str, Status], files: list[Path], notes: list[str], *,
@@ -46,8 +46,8 @@ def write_tables(out: Path, plan: Plan, statuses: Mapping[str, Status], files: l
             about = [task.movie, *(task.columns.get(name, "") for name in plan.columns)]
             here = means[task.movie] = {}
             for row in read_summary(out / RESULTS / task.key / TABLE):
-                table.writerow([*about, row["metric"], *(row[name] for name in STATISTICS), status.verdict])
-                here[row["metric"]] = row["mean"]
+                table.writerow([*about, *row, status.verdict])
+                here[row[0]] = row[MEAN]
     known = {name for found in means.values() for name, mean in found.items() if mean}
     shown = [name for name in names if name in known]
     with whole(out / MOVIES) as stream:
@@ -71,15 +71,18 @@ def write_tables(out: Path, plan: Plan, statuses: Mapping[str, Status], files: l
         _index(out, plan, list(means), files, notes, changed=changed)
 
 
-def read_summary(file: Path) -> Iterator[Row]:
-    """Read the table of a result, as text. Raises ResultUnreadable where it lacks a column."""
+def read_summary(file: Path) -> Iterator[tuple[str, ...]]:
+    """Read the metrics of a result and their `STATISTICS`, as text. Raises ResultUnreadable for another table."""
     with file.open(encoding="utf-8", newline="") as stream:
-        rows = csv.DictReader(stream)
-        missing = {"metric", *STATISTICS} - set(rows.fieldnames or ())
-        if missing:
-            raise ResultUnreadable(f"{file}: expected the table of a result; the column {min(missing)} is missing. "
-                                   "Delete that result folder, and run the same line again")
-        yield from rows
+        rows = csv.reader(stream)
+        try:
+            header = next(rows, [])
+            pick = itemgetter(*(header.index(name) for name in ("metric", *STATISTICS)))
+            yield from map(pick, rows)
+        except (ValueError, IndexError):
+            raise ResultUnreadable(f"{file}: expected the table of a result, with the columns metric, "
+                                   f"{', '.join(STATISTICS)}; found another. Delete the folder {file.parent.name}, and "
+                                   "run the same line again") from None
 
 
 def write_parquet(table: Path, numbers: set[str]) -> Path:

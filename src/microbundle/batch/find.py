@@ -37,7 +37,7 @@ def find_movies(source: Path) -> list[tuple[str, Path]]:
     read, and ConfigError where it holds no movie.
     """
     try:
-        found = [(path.relative_to(source).as_posix(), path) for path in _below(source, set())]
+        found = [(path.relative_to(source).as_posix(), path) for path in _below(source, frozenset())]
     except OSError as error:
         raise MovieUnreadable(f"{error.filename or source}: the folder cannot be read: {error.strerror or error}"
                               ) from None
@@ -47,11 +47,11 @@ def find_movies(source: Path) -> list[tuple[str, Path]]:
     return sorted(found, key=lambda one: (natural_key(one[0]), one[0]))
 
 
-def _below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
+def _below(folder: Path, above: frozenset[tuple[int, int]]) -> Iterator[Path]:
     about = folder.stat()
-    if (about.st_dev, about.st_ino) in seen:  # a link that leads back
+    here = (about.st_dev, about.st_ino)
+    if here in above:  # a link that leads back
         return
-    seen.add((about.st_dev, about.st_ino))
     with os.scandir(folder) as entries:
         listed = [entry for entry in entries if not entry.name.startswith(".")]
     if any(entry.name == LIST for entry in listed) and _holds_results(folder):
@@ -65,7 +65,7 @@ def _below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
     else:
         yield from (folder / name for name in files)
     for name in sorted(folders - ({"movie", "masks"} if layout else {"masks"} if files else set())):
-        yield from _below(folder / name, seen)
+        yield from _below(folder / name, above | {here})
 
 
 def _holds_results(folder: Path) -> bool:

@@ -24,6 +24,8 @@ from .state import Status, clear_partial, current, guarded, run_folder, write_st
 from .work import Job, job_of, serve
 
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+MOST_MOVIES = 10
+"""A worker makes room for a new one after so many movies, for its memory grows with each."""
 
 
 @dataclass(frozen=True)
@@ -129,9 +131,14 @@ def _rounds(jobs: list[Job], workers: int, tell: TellBatch) -> Iterator[tuple[Jo
                     continue
                 job, worker.job = worker.job, None
                 assert job is not None
-                if isinstance(heard, str):
+                worker.ended += 1
+                if isinstance(heard, str) or worker.ended == MOST_MOVIES:
                     crew.remove(worker)
-                elif heard.state == "done":
+                    worker.stop()
+                if isinstance(heard, str):
+                    yield job, heard
+                    continue
+                if heard.state == "done":
                     tell(Finished(heard.movie, heard.verdict, heard.seconds))
                 else:
                     tell(Failed(heard.movie, heard.kind, heard.message))
@@ -148,6 +155,7 @@ class _Worker:
         context = get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self.job: Job | None = None
+        self.ended = 0
         self.process = context.Process(target=serve, args=(theirs, alone), daemon=True)
         with _environment({} if alone else dict.fromkeys(THREADS, "1")):
             self.process.start()

@@ -66,9 +66,15 @@ def current(out: Path, plan: Plan, task: Task) -> Status | None:
         return None
     if (status.settings, status.version) != (task.settings, plan.version) or status.input != fingerprint(task.path):
         return None
-    if status.state == "done" and not (out / RESULTS / task.key / TABLE).is_file():
-        return None
-    return status
+    return status if status.state == "failed" or _has_table(out / RESULTS / task.key) else None
+
+
+def _has_table(result: Path) -> bool:
+    """Tell whether a result is there; after a power failure its files may be empty."""
+    try:
+        return (result / TABLE).stat().st_size > 0
+    except OSError:
+        return False
 
 
 @contextmanager
