@@ -75,6 +75,7 @@ def _inspect(file: Path) -> tuple[Any, list[Any], Contents]:
     czifile = require(file, "czifile", "czi", "Zeiss CZI")
     handle = None
     try:
+        _check_directories(file)
         handle = czifile.CziFile(str(file))
         scenes = [handle.scenes[key] for key in handle.scenes]
         series = tuple(_described(scene, len(scenes)) for scene in scenes)
@@ -87,6 +88,19 @@ def _inspect(file: Path) -> tuple[Any, list[Any], Contents]:
             handle.close()
         raise undecodable(file, error) from None
     return handle, scenes, found
+
+
+def _check_directories(file: Path) -> None:
+    """Refuse directories with more entries than the file has room for: czifile would read them all, without end."""
+    size = file.stat().st_size
+    with file.open("rb") as stream:
+        for place, entry in ((84, 32), (104, 128)):
+            stream.seek(place)
+            stream.seek(min(int.from_bytes(stream.read(8), "little"), size) + 32)
+            count = int.from_bytes(stream.read(4), "little")
+            if count * entry > size:
+                raise MovieUnreadable(f"{file}: expected a list of pictures that fits into the file; found one of "
+                                      f"{count} entries. The file is damaged")
 
 
 def _described(scene: Any, count: int) -> Series:
