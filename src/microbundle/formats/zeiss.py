@@ -30,6 +30,7 @@ MAGIC = b"ZISRAWFILE"
 DAYS = (3e4, 8e4)
 """Stamps in this range with tiny steps are days since 1899-12-30, as some versions of ZEN write them."""
 DAY_S = 86400.0
+MOST_AXES = 64
 
 
 def contents(file: Path) -> Contents:
@@ -101,6 +102,13 @@ def _check_directories(file: Path) -> None:
             if count * entry > size:
                 raise MovieUnreadable(f"{file}: expected a list of pictures that fits into the file; found one of "
                                       f"{count} entries. The file is damaged")
+            stream.seek(124, 1)
+            for _ in range(count if entry == 32 else 0):
+                axes = int.from_bytes(stream.read(32)[28:], "little")
+                if axes > MOST_AXES:
+                    raise MovieUnreadable(f"{file}: expected pictures of at most {MOST_AXES} axes; found {axes}. "
+                                          "The file is damaged")
+                stream.seek(20 * axes, 1)
 
 
 def _described(scene: Any, count: int) -> Series:
