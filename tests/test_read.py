@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from microbundle.config import Reading
 from microbundle.data import Movie
 from microbundle.errors import MovieUnreadable
-from microbundle.read import CACHE_BYTES, Cached, content_hash, prepare, read_movie
 from microbundle.formats.grey import luminance
+from microbundle.read import CACHE_BYTES, Cached, content_hash, prepare, read_movie
 
 Image = NDArray[Any]
 SHAPE = (20, 30)
