@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from microbundle import Config, analyze, read_movie
+from microbundle import Config, Movie, analyze, read_movie
 from microbundle.config import PillarParams
-from microbundle.force import forces, loop_areas, rest_path, stiffness
+from microbundle.contraction import rest_path
+from microbundle.errors import ConfigError
+from microbundle.force import forces, loop_areas, stiffness
 from microbundle.metrics import tables
 from microbundle.store import load, save
 
@@ -148,3 +150,14 @@ def test_accurate_forces_are_near_the_published_ones(bright):
     error = tables(bright["accurate"])["pillars"].groupby("pillar")["force_amplitude_se_un"].mean()
     assert (error < 0.05 * accurate).all()
     assert (np.abs(accurate - paper) < 3 * error).all()
+
+
+def test_unloaded_positions_must_name_each_pillar(tissue_array):
+    """Three positions for two pillars are an error, not a resting force that is missing."""
+    movie = Movie.from_array(tissue_array, fps=30, um_per_px=UM)
+    head = np.zeros((2, *movie.shape), bool)
+    head[0, 54:75, 40:61], head[1, 54:75, 130:151] = True, True
+    supplied = replace(movie, supplied_masks={"pillar_1": head[0], "pillar_2": head[1]})
+    positions = {"pillars": {"unloaded_px": [[1.0, 2.0]] * 3}}
+    with pytest.raises(ConfigError, match="each of the 2 pillars"):
+        analyze(supplied, Config.from_dict(positions))

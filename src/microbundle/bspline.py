@@ -125,7 +125,7 @@ def _taps() -> NDArray[np.float32]:
 
 
 @written
-def _value(_typing: Any, flat: Any, _first: Any, _width: Any, _down: Any, _right: Any) -> Any:
+def spline_value(_typing: Any, flat: Any, _first: Any, _width: Any, _down: Any, _right: Any) -> Any:
     """Interpolate at the fractions (down, right) inside the six rows of six coefficients from flat[first] on.
 
     Written for vectors of eight, for a compiler finds no vectors here; of two more coefficients than it needs it reads
@@ -166,7 +166,7 @@ def _sample_run(flat, W, y, x, n, out):
     """Interpolate a picture's coefficients, W to a row, at n places (y, x) into out."""
     for i in range(n):
         iy, ix = np.int32(y[i]), np.int32(x[i])
-        out[i] = _value(flat, np.int64(iy - 2) * W + (ix - 2), W, y[i] - np.float32(iy), x[i] - np.float32(ix))
+        out[i] = spline_value(flat, np.int64(iy - 2) * W + (ix - 2), W, y[i] - np.float32(iy), x[i] - np.float32(ix))
 
 
 @inlined
@@ -192,7 +192,7 @@ def _add(weight, values, out):
 @inlined
 def _move_run(moved, weights, r, a0, a1, H, W, y, x):
     """Places (y, x) to which the pixels a0 ... a1 - 1 of row r are moved, kept inside the picture. One row more is
-    kept free below, for `_value` reads two coefficients too many."""
+    kept free below, for `spline_value` reads two coefficients too many."""
     F = np.float32
     y, x = y[:a1 - a0], x[:a1 - a0]
     for i in range(a1 - a0):

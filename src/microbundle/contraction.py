@@ -57,6 +57,21 @@ def rest_weights(relaxed: Bools, peak: Ints) -> Floats:
     return out
 
 
+def rest_path(values: Floats, relaxed: Bools, times: Floats) -> Floats:
+    """Join the relaxed states of series (T, ...), the mean of each run of relaxed frames, by straight lines in time."""
+    edges = np.flatnonzero(np.diff(np.pad(relaxed.astype(np.int8), 1)))
+    flat = values.reshape(len(values), -1)
+    middles, means = [], []
+    for first, stop in zip(edges[::2], edges[1::2], strict=True):
+        if np.isfinite(flat[first:stop]).all(axis=1).any():
+            middles.append(times[first:stop].mean())
+            means.append(np.nanmean(flat[first:stop], axis=0))
+    if not middles:
+        return np.zeros(values.shape)
+    level = np.stack(means, axis=1)
+    return np.stack([np.interp(times, middles, one) for one in level], axis=1).reshape(values.shape)
+
+
 def mean_absolute(displacement_px: Floats) -> Floats:
     """Average the lengths of displacements (T, N, 2) over the points that are known: (T,), NaN where none is."""
     seen = known(displacement_px)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .contraction import rest_path
 from .data import Floats
-from .force import rest_path
 from .numbers import clock
 from .shown import Shown
 from .style import (

@@ -19,7 +19,8 @@ import numpy as np
 
 from .analysis import Analysis
 from .config import PillarParams
-from .data import Bools, Floats
+from .contraction import rest_path
+from .data import Bools, Floats, TissueAxis
 from .dictionary import Level
 from .numbers import clock, duty, end_distance, shapes_of
 
@@ -55,6 +56,10 @@ class Forces:
     """(T, P): deflection along the pillar's own motion, positive in contraction."""
     inward_px: Floats
     """(T, P): deflection along the axis from pillar to pillar, positive towards the other one."""
+    rest_px: Floats
+    """(T, P, 2): relaxed position, counted from the reference frame."""
+    direction: Floats
+    """(P, 2): unit vector of the pillar's own motion."""
     un_per_px: float
     """Force of a pixel; NaN where stiffness or pixel size is not known."""
 
@@ -65,28 +70,13 @@ def forces(analysis: Analysis) -> Forces | None:
     if motion is None:
         return None
     k, um = stiffness(analysis.config.pillars), analysis.um_per_px
-    if motion.method == "markers":  # the published tool counts from the first frame
-        moved = motion.shift_px - motion.shift_px[0]
-    else:
-        moved = motion.shift_px - rest_path(motion.shift_px, analysis.beats.relaxed, clock(analysis))
+    rest = rest_path(motion.shift_px, analysis.beats.relaxed, clock(analysis))
+    # The published tool counts from the first frame.
+    moved = motion.shift_px - (motion.shift_px[0] if motion.method == "markers" else rest)
     own = np.stack([_direction(moved[:, p], analysis.beats.relaxed) for p in range(moved.shape[1])])
-    return Forces(moved, np.einsum("tpi,pi->tp", moved, own), np.einsum("tpi,pi->tp", moved, _inward(analysis)),
+    inward = _inward(motion.pillars.center_px, analysis.masks.axis)
+    return Forces(moved, np.einsum("tpi,pi->tp", moved, own), np.einsum("tpi,pi->tp", moved, inward), rest, own,
                   np.nan if k is None or um is None else k * um)
-
-
-def rest_path(values: Floats, relaxed: Bools, times: Floats) -> Floats:
-    """Join the relaxed states of series (T, ...), the mean of each run of relaxed frames, by straight lines in time."""
-    edges = np.flatnonzero(np.diff(np.pad(relaxed.astype(np.int8), 1)))
-    flat = values.reshape(len(values), -1)
-    middles, means = [], []
-    for first, stop in zip(edges[::2], edges[1::2], strict=True):
-        if np.isfinite(flat[first:stop]).all(axis=1).any():
-            middles.append(times[first:stop].mean())
-            means.append(np.nanmean(flat[first:stop], axis=0))
-    if not middles:
-        return np.zeros(values.shape)
-    level = np.stack(means, axis=1)
-    return np.stack([np.interp(times, middles, one) for one in level], axis=1).reshape(values.shape)
 
 
 def _direction(moved: Floats, relaxed: Bools) -> Floats:
@@ -99,11 +89,9 @@ def _direction(moved: Floats, relaxed: Bools) -> Floats:
     return np.asarray(direction * (1.0 if len(busy) == 0 or busy.mean(axis=0) @ direction >= 0 else -1.0))
 
 
-def _inward(analysis: Analysis) -> Floats:
-    """Unit vector (P, 2) from each pillar towards the other end: to the far pillar, or along the tissue's axis."""
-    motion = analysis.pillars
-    assert motion is not None
-    centers, axis = motion.pillars.center_px, analysis.masks.axis
+def _inward(centers: Floats, axis: TissueAxis) -> Floats:
+    """Unit vector (P, 2) from each pillar's centre (P, 2) towards the other end: to the far pillar, or along the
+    tissue's axis."""
     if len(centers) > 1:
         far = np.array([centers[np.argmax(((centers - c) ** 2).sum(axis=1))] for c in centers])
         way = far - centers
@@ -118,7 +106,6 @@ def pillar_values(analysis: Analysis) -> dict[str, Floats]:
     motion = analysis.pillars
     if found is None or motion is None:
         return {}
-    force = found.along_px * found.un_per_px
     shape = shapes_of(analysis, found.along_px, "pillar")
     shape |= duty(shape, "pillar")
     scaled = ("amplitude", "contraction_velocity", "relaxation_velocity", "mean_contraction_velocity", "area")
@@ -127,12 +114,15 @@ def pillar_values(analysis: Analysis) -> dict[str, Floats]:
         shape[f"force_{name}"] = shape[f"force_{name}"] * found.un_per_px
     parts = [found.deflection_px, found.inward_px[..., None], motion.rotation_deg[..., None]]
     at_peak = np.concatenate(parts, axis=2)[analysis.beats.peak]
-    rest = _resting_px(analysis)
+    path = found.rest_px[analysis.beats.peak]
+    unloaded = analysis.config.pillars.unloaded_px
+    rest = np.zeros(deflection.shape)
+    if unloaded is not None:
+        rest = np.einsum("bpi,pi->bp", motion.pillars.center_px + path - np.array(unloaded), found.direction)
     um = np.nan if analysis.um_per_px is None else analysis.um_per_px
-    start = np.nan_to_num(rest) * um
+    start = rest * um
     k = stiffness(analysis.config.pillars)
     work = NJ * 0.5 * (np.nan if k is None else k) * ((deflection * um + start) ** 2 - start**2)
-    path = rest_path(motion.shift_px, analysis.beats.relaxed, clock(analysis))[analysis.beats.peak]
     out = {
         "deflection": deflection, "deflection_row": at_peak[..., 0], "deflection_col": at_peak[..., 1],
         "deflection_axis": at_peak[..., 2], **shape,
@@ -140,26 +130,11 @@ def pillar_values(analysis: Analysis) -> dict[str, Floats]:
         "force_row": at_peak[..., 0] * found.un_per_px, "force_col": at_peak[..., 1] * found.un_per_px,
         "force_axis": at_peak[..., 2] * found.un_per_px, "rotation": at_peak[..., 3], "work": work,
         "power": work / shape["force_time_to_peak_from_onset"],
-        "pillar_drift": np.linalg.norm(path - path[:1], axis=-1) if len(path) else np.zeros((0, force.shape[1])),
+        "pillar_drift": np.linalg.norm(path - path[:1], axis=-1) if len(path) else np.zeros(deflection.shape),
     }
-    if analysis.config.pillars.unloaded_px is not None:
+    if unloaded is not None:
         out["resting_force"] = rest * found.un_per_px
     return out
-
-
-def _resting_px(analysis: Analysis) -> Floats:
-    """Distance (B, P) in px of each beat's relaxed state from the unloaded position, along the pillar's motion; NaN
-    where that position is not given."""
-    motion, unloaded = analysis.pillars, analysis.config.pillars.unloaded_px
-    beats, found = analysis.beats, forces(analysis)
-    assert motion is not None
-    assert found is not None
-    if unloaded is None or len(unloaded) != len(motion.pillars):
-        return np.full((len(beats), len(motion.pillars)), np.nan)
-    path = rest_path(motion.shift_px, beats.relaxed, clock(analysis))[beats.peak]
-    away = motion.pillars.center_px + path - np.array(unloaded)
-    own = np.stack([_direction(found.deflection_px[:, p], beats.relaxed) for p in range(len(motion.pillars))])
-    return np.asarray(np.einsum("bpi,pi->bp", away, own))
 
 
 def pillar_series(analysis: Analysis) -> dict[str, Floats]:
@@ -202,8 +177,7 @@ def tissue_force_values(analysis: Analysis, pillars: Mapping[str, Floats]) -> di
 
 def loop_areas(analysis: Analysis, x: Floats, y: Floats) -> Floats:
     """Area (B,) that the curve y over x encloses in each whole beat: the integral of y dx, the ends joined by a
-    straight
-    line. Positive where y is larger while x grows. Between frames both are cubic splines in time."""
+    straight line. Positive where y is larger while x grows. Between frames both are cubic splines in time."""
     from scipy.interpolate import make_interp_spline
 
     beats, times = analysis.beats, clock(analysis)

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 from . import bspline
-from .bspline import Float32, Runs, _value, inlined, jit
+from .bspline import Float32, Runs, inlined, jit, spline_value
 from .data import Bools, Floats, Image, Ints
 
 Model = Literal["affine", "rigid", "translation"]
@@ -180,7 +180,7 @@ def _pull(C: Any, origin: Any, corner: Any, center: Any, use: Any, warp: Any, g:
             inside = use[r, c] and y >= 2 and x >= 2 and iy < H - 4 and ix < W - 3
             seen[r, c] = inside
             if inside:
-                g[r, c] = _value(flat, np.int64(iy - 2) * W + (ix - 2), W, np.float32(y - iy), np.float32(x - ix))
+                g[r, c] = spline_value(flat, np.int64(iy - 2) * W + (ix - 2), W, np.float32(y - iy), np.float32(x - ix))
                 count += 1
             y += warp[0, 1]
             x += warp[1, 1]

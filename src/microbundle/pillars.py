@@ -20,7 +20,7 @@ from scipy import ndimage
 from .axis import measure_axis
 from .config import Config, Reading
 from .data import BodyMotion, Bools, Finding, Floats, Masks, Movie, PillarMotion, Pillars
-from .errors import CannotMeasure, MaskUnusable, NoPillars
+from .errors import CannotMeasure, ConfigError, MaskUnusable, NoPillars
 from .markers import place_markers
 from .pillar_masks import find_pillars
 from .prepare import Prepared
@@ -43,7 +43,8 @@ def measure_pillars(movie: Movie, masks: Masks, reference_frame: int,
 
     Where no pillar can be told, there is no motion but a finding that says why. What is found of pillars is for review
     where a stiffness shows that forces are wanted, else for information. Raises MaskUnusable for supplied masks that
-    cannot be used, and NoPillars where only supplied masks are allowed and none came.
+    cannot be used, NoPillars where only supplied masks are allowed and none came, and ConfigError where `unloaded_px`
+    does not name each pillar.
     """
     params = config.pillars
     wanted = params.stiffness_un_per_um is not None or params.modulus_mpa is not None
@@ -55,6 +56,9 @@ def measure_pillars(movie: Movie, masks: Masks, reference_frame: int,
         return None, (Finding("no_pillars", "review" if wanted else "info", str(why)),)
     if len(pillars) == 0:
         return None, ()
+    if params.unloaded_px is not None and len(params.unloaded_px) != len(pillars):
+        raise ConfigError(f"pillars.unloaded_px: expected a position for each of the {len(pillars)} pillars "
+                          f"({', '.join(pillars.names)}); found {len(params.unloaded_px)}")
     follow = _by_markers if config.method == "paper" else _as_bodies
     motion = follow(movie, pillars, 0 if config.method == "paper" else reference_frame, config)
     findings = (*pillars.findings, *motion.findings, *_missing(motion))
@@ -87,8 +91,8 @@ def without_rim(mask: Bools) -> Bools:
 
 
 def _disagreement(movie: Movie, mask: Bools, body: BodyMotion) -> float:
-    """Standard error of the body's motion as a share of it, by how differently the mask's quarters follow it; 0 for a
-    body that hardly moves or has no texture to tell."""
+    """Standard error of the body's motion as a share of it, by how differently the mask's quarters follow it; NaN
+    where the body does not move, or its quarters show too little."""
     every = np.linspace(0, movie.count - 1, min(movie.count, MOST_FRAMES)).astype(int)
     frames = np.unique(np.append(every, body.reference_frame))
     reference = int(np.searchsorted(frames, body.reference_frame))
@@ -97,7 +101,7 @@ def _disagreement(movie: Movie, mask: Bools, body: BodyMotion) -> float:
     moved = body.translation_px[frames] - body.translation_px[body.reference_frame]
     seen = np.isfinite(moved).all(axis=1)
     if seen.sum() < 3 or not moved[seen].any():
-        return 0.0
+        return np.nan
     direction = np.linalg.svd(moved[seen] - moved[seen].mean(axis=0), full_matrices=False)[2][0]
     whole = moved @ direction
     row, col = np.indices(mask.shape)
@@ -112,7 +116,7 @@ def _disagreement(movie: Movie, mask: Bools, body: BodyMotion) -> float:
         both = seen & np.isfinite(along)
         if both.sum() > 2 and np.ptp(whole[both]) > 0:
             gains.append(float(np.polyfit(whole[both], along[both], 1)[0]))
-    return float(np.std(gains, ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else 0.0
+    return float(np.std(gains, ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else np.nan
 
 
 def _turned(body: BodyMotion, point_px: Floats) -> Floats:

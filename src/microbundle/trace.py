@@ -20,11 +20,10 @@ import numpy as np
 from .analysis import Analysis
 from .beats import cut_signal
 from .config import BeatParams, MetricParams
-from .contraction import frame_noise
+from .contraction import frame_noise, rest_path
 from .data import Beats, Bools, Finding, Floats, Movie
 from .dictionary import BY_KEY, PREFIX, columns
 from .errors import CannotMeasure, MovieUnreadable
-from .force import rest_path
 from .numbers import beat_signal, duty, periods, shapes_of
 from .waveform import beat_shapes
 

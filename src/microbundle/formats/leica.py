@@ -20,7 +20,7 @@ from .opened import (
     Selection,
     Series,
     check_series,
-    choose,
+    open_part,
     ordered,
     require,
 )
@@ -41,12 +41,8 @@ def contents(file: Path) -> Contents:
 def open_movie(file: Path, selection: Selection) -> Opened:
     """Open one image, channel and focal plane of a LIF file. Raises MovieUnreadable and ChoiceMissing."""
     handle, images, inside = _inspect(file)
-    choice = choose(file, inside, selection)
-    try:
-        found = _calibration(images[choice.series], choice)
-    except Exception as error:  # the library raises many kinds on damaged files
-        raise undecodable(file, error) from None
-    return Opened(inside, choice, LifFrames(file, choice, (handle, images)), (file,), found)
+    return open_part(file, inside, selection, lambda choice: LifFrames(file, choice, (handle, images)),
+                     lambda frames: _calibration(images[frames.choice.series], frames.choice))
 
 
 class LifFrames(FileFrames):

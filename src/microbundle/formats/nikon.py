@@ -13,7 +13,7 @@ from ..calibration import Calibration, rising, square
 from ..data import Image
 from ..errors import MicrobundleError
 from .grey import undecodable
-from .opened import Contents, FileFrames, Opened, Selection, Series, check_series, choose, ordered, require
+from .opened import Contents, FileFrames, Opened, Selection, Series, check_series, open_part, ordered, require
 
 MAGIC = (b"\xda\xce\xbe\x0a", b"\0\0\0\x0cjP  ")
 """Of files since 2008, and of the older ones, which are JPEG 2000."""
@@ -29,13 +29,8 @@ def contents(file: Path) -> Contents:
 def open_movie(file: Path, selection: Selection) -> Opened:
     """Open one position, channel and focal plane of an ND2 file. Raises MovieUnreadable and ChoiceMissing."""
     handle, inside = _inspect(file)
-    choice = choose(file, inside, selection)
-    frames = Nd2Frames(file, choice, handle)
-    try:
-        found = _calibration(handle, [frames.number(t) for t in range(choice.count)])
-    except Exception as error:  # the library raises many kinds on damaged files
-        raise undecodable(file, error) from None
-    return Opened(inside, choice, frames, (file,), found)
+    return open_part(file, inside, selection, lambda choice: Nd2Frames(file, choice, handle),
+                     lambda frames: _calibration(handle, [frames.number(t) for t in range(len(frames))]))
 
 
 class Nd2Frames(FileFrames):

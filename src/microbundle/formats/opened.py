@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from ..calibration import Calibration
 from ..data import Finding, Frames, Image
 from ..errors import ChoiceMissing, MicrobundleError, MovieUnreadable
 from .grey import check_size, grey, undecodable
+
+OfFrames = TypeVar("OfFrames", bound="FileFrames")
 
 PLANE = "YXS"
 """Axes of a single picture: row, column, colour."""
@@ -121,6 +123,20 @@ def choose(file: Path, contents: Contents, wanted: Selection) -> Choice:
     fixed |= {other: 0 for other in series.sizes if other not in PLANE and other != axis and other not in fixed}
     return Choice(number, axis, count, {k: v for k, v in fixed.items() if k != axis},
                   _axis_note(axis, count) + _taken_note(contents, series, number, fixed))
+
+
+def open_part(file: Path, contents: Contents, wanted: Selection, frames: Callable[[Choice], OfFrames],
+              calibration: Callable[[OfFrames], Calibration]) -> Opened:
+    """Open the part of a file that the user wants, with the frames and the calibration that a format gives.
+
+    Raises ChoiceMissing and MovieUnreadable.
+    """
+    opened = frames(choose(file, contents, wanted))
+    try:
+        found = calibration(opened)
+    except Exception as error:  # the libraries raise many kinds on damaged files
+        raise undecodable(file, error) from None
+    return Opened(contents, opened.choice, opened, (file,), found)
 
 
 def require(file: Path, library: str, extra: str, what: str) -> Any:

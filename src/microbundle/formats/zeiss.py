@@ -21,7 +21,7 @@ from .opened import (
     Selection,
     Series,
     check_series,
-    choose,
+    open_part,
     ordered,
     require,
 )
@@ -43,12 +43,8 @@ def contents(file: Path) -> Contents:
 def open_movie(file: Path, selection: Selection) -> Opened:
     """Open one scene, channel and focal plane of a CZI file. Raises MovieUnreadable and ChoiceMissing."""
     handle, scenes, inside = _inspect(file)
-    choice = choose(file, inside, selection)
-    try:
-        found = _calibration(handle, scenes[choice.series], choice)
-    except Exception as error:  # the library raises many kinds on damaged files
-        raise undecodable(file, error) from None
-    return Opened(inside, choice, CziFrames(file, choice, (handle, scenes)), (file,), found)
+    return open_part(file, inside, selection, lambda choice: CziFrames(file, choice, (handle, scenes)),
+                     lambda frames: _calibration(handle, scenes[frames.choice.series], frames.choice))
 
 
 class CziFrames(FileFrames):
