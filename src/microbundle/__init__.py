@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from .compat import compat_columns
     from .config import Config
     from .data import Movie
+    from .decide import decide
+    from .decisions import Decisions, read_decisions, write_decisions
     from .errors import (
         CalibrationMissing,
         CannotMeasure,
@@ -44,8 +46,10 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Analysis": "analysis", "Config": "config", "Movie": "data", "analyze": "pipeline", "compat_columns": "compat",
+    "decide": "decide",
     "export_paper": "paper_layout", "load": "store", "read_mask": "mask_files", "read_movie": "read", "save": "store",
     "tables": "metrics", "write_workbook": "workbook",
+    **dict.fromkeys(("Decisions", "read_decisions", "write_decisions"), "decisions"),
     **dict.fromkeys(("write_index", "write_report"), "report"),
     **dict.fromkeys(("follow_body", "follow_points"), "subsets"),
     **dict.fromkeys(("alternatives", "displacement_error_at", "standard_errors"), "uncertainty"),
@@ -65,6 +69,7 @@ __all__ = [
     "ChoiceMissing",
     "Config",
     "ConfigError",
+    "Decisions",
     "MaskUnusable",
     "MicrobundleError",
     "Movie",
@@ -78,6 +83,7 @@ __all__ = [
     "alternatives",
     "analyze",
     "compat_columns",
+    "decide",
     "displacement_error_at",
     "export_paper",
     "figures",
@@ -85,11 +91,13 @@ __all__ = [
     "follow_points",
     "load",
     "movies",
+    "read_decisions",
     "read_mask",
     "read_movie",
     "save",
     "standard_errors",
     "tables",
+    "write_decisions",
     "write_index",
     "write_report",
     "write_workbook",

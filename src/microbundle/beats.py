@@ -12,6 +12,7 @@ way between peaks, and the first and last beats left out. Source: paper, "Tempor
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -236,24 +237,32 @@ def _rest(smooth: Floats, first: int, last: int, noise: float) -> tuple[int, int
 
 def _beats(tracks: Tracks, cut: Cut, noise: float, limit: float, without: Without) -> Beats:
     """Complete a cut with the relaxed positions and the signal."""
-    count, markers = tracks.ok.shape
-    relaxed = np.zeros(count, bool)
+    relaxed = np.zeros(len(tracks.ok), bool)
     for first, stop in (rest for rests in cut.rests for rest in rests):
         relaxed[first:stop] = True
     if not cut.peak:
         relaxed[:] = True
-    beat_relaxed = np.full((len(cut.peak), markers, 2), np.nan)
-    for b, weights in enumerate(rest_weights(relaxed, np.array(cut.peak, int))):
+    beats = Beats(np.zeros(len(relaxed)), noise, np.array(cut.start, int), np.array(cut.peak, int),
+                  np.array(cut.stop, int), np.array(cut.complete, bool), relaxed, *at_rest(tracks, relaxed, cut.peak),
+                  "default", limit)
+    return with_findings(replace(beats, signal_px=signal_from(tracks, beats.relaxed_px)), without)
+
+
+def at_rest(tracks: Tracks, relaxed: Bools, peaks: Sequence[int] | Ints) -> tuple[Floats, Floats]:
+    """Find where the markers rest: over all relaxed frames (N, 2), and around the beats' peaks (B, N, 2)."""
+    beat_relaxed = np.full((len(peaks), tracks.ok.shape[1], 2), np.nan)
+    for b, weights in enumerate(rest_weights(relaxed, np.array(peaks, int))):
         beat_relaxed[b] = _mean_position(tracks.position_px[weights > 0], weights[weights > 0])
-    rest = _mean_position(tracks.position_px[relaxed])
-    moved = tracks.position_px[:, tracks.kept] - rest[tracks.kept].astype(np.float32)
-    signal = mean_absolute(moved)
-    beats = Beats(signal, noise, np.array(cut.start, int), np.array(cut.peak, int), np.array(cut.stop, int),
-                  np.array(cut.complete, bool), relaxed, rest, beat_relaxed, "default", limit)
-    return _with_findings(beats, without)
+    return _mean_position(tracks.position_px[relaxed]), beat_relaxed
 
 
-def _with_findings(beats: Beats, without: Without) -> Beats:
+def signal_from(tracks: Tracks, rest_px: Floats) -> Floats:
+    """Compute the mean absolute displacement (T,) of the markers that were followed from where they rest (N, 2)."""
+    return mean_absolute(tracks.position_px[:, tracks.kept] - rest_px[tracks.kept].astype(np.float32))
+
+
+def with_findings(beats: Beats, without: Without) -> Beats:
+    """Add what a reader should know of the beats, in place of older findings; `without` says why there are none."""
     findings: list[Finding] = []
     whole = int(beats.complete.sum())
     if without.still:
@@ -297,7 +306,7 @@ def _paper_beats(tracks: Tracks) -> Beats:
     relaxed[start] = True
     beats = Beats(series, frame_noise(series), start, peak, stop, np.ones(len(start), bool), relaxed,
                   tracks.position_px[0].astype(float), tracks.position_px[start].astype(float), "paper")
-    return _with_findings(beats, Without(f"the published method needs three peaks; {len(peaks)} were found"))
+    return with_findings(beats, Without(f"the published method needs three peaks; {len(peaks)} were found"))
 
 
 def _mean_position(position_px: Floats, weights: Floats | None = None) -> Floats:

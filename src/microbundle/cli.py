@@ -25,6 +25,8 @@ app.command("microbundle.web.commands:app", name="app", help="Open the app: a pa
             "alone, that does what the command line does.")
 app.command("microbundle.commands:info", name="info", help="Show what is inside a movie file or folder, and what would "
             "be taken from it.")
+app.command("microbundle.commands:decide", name="decide", help="Write down what a person decides about a movie: beats, "
+            "mask, settings, accepted or not.")
 app.command("microbundle.commands:trace", name="trace", help="Measure the beats of a trace, such as calcium, and the "
             "delay of the contraction.")
 app.command("microbundle.commands:metrics", name="metrics", help="Print the dictionary of metrics: every key with its "

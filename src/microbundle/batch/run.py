@@ -16,12 +16,13 @@ from multiprocessing import get_context
 from multiprocessing.connection import wait
 from pathlib import Path
 
+from ..decisions import decisions_hash
 from ..errors import ConfigError
 from ..events import Completed, Failed, Finished, Planned, Progressed, Started, TellBatch, ignore
 from .collect import write_tables
 from .plan import Plan, Task, fingerprint
 from .state import Status, clear_partial, current, guarded, run_folder, write_status
-from .work import Job, job_of, serve
+from .work import Job, job_of, result_of, serve
 
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 MOST_MOVIES = 10
@@ -188,7 +189,7 @@ class _Worker:
 def _record_death(job: Job, ending: str) -> Status:
     """Write down that the worker died at a movie, twice."""
     status = Status(job.task.movie, "failed", fingerprint(job.task.path), job.task.settings, job.version,
-                    kind="WorkerDied", lasting=False,
+                    decisions_hash(result_of(job)), kind="WorkerDied", lasting=False,
                     message=f"{job.task.movie}: the process that measured it {ending}, twice; the second time no other "
                             "ran beside it. Too little memory is the usual reason: see reading.crop_px")
     guarded(job.out, lambda: write_status(job.out, job.task.key, status))

@@ -14,6 +14,7 @@ from multiprocessing import parent_process
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from ..decisions import decisions_hash
 from ..errors import MicrobundleError, OutputError
 from ..events import Progress, Progressed, Tell
 from .plan import Plan, Task, fingerprint
@@ -32,6 +33,11 @@ class Job:
     version: str
     report: bool
     threads: int
+
+
+def result_of(job: Job) -> Path:
+    """Folder of the result of a job."""
+    return job.out / RESULTS / job.task.key
 
 
 def job_of(task: Task, out: Path, plan: Plan, threads: int) -> Job:
@@ -61,7 +67,8 @@ def serve(pipe: Connection, alone: bool) -> None:
 def measure(job: Job, tell: Tell) -> Status:
     """Measure one movie, write its result folder and then its status; never raises."""
     task, start = job.task, time.perf_counter()
-    status = Status(task.movie, "failed", fingerprint(task.path), task.settings, job.version)
+    status = Status(task.movie, "failed", fingerprint(task.path), task.settings, job.version,
+                    decisions_hash(result_of(job)))
     try:
         verdict, beats = _measured(job, tell)
         status = replace(status, state="done", verdict=verdict, beats=beats)
@@ -87,6 +94,7 @@ def measure(job: Job, tell: Tell) -> Status:
 
 def _measured(job: Job, tell: Tell) -> tuple[str, int]:
     from ..config import Config, merge
+    from ..decisions import read_decisions
     from ..metrics import tables
     from ..pipeline import analyze
     from ..read import read_movie
@@ -94,20 +102,21 @@ def _measured(job: Job, tell: Tell) -> tuple[str, int]:
     from ..store import save
     from .overview import write_overview
 
-    config = job.task.config
+    decided = read_decisions(result_of(job))
+    config = decided.over(job.task.config)
     if config.registration.threads is None:
         config = Config.from_dict(merge(config.model_dump(exclude_unset=True),
                                         {"registration": {"threads": job.threads}}))
     part = config.reading
     opened = read_movie(job.task.path, series=part.series, channel=part.channel, z=part.z)
-    analysis = analyze(replace(opened, name=job.task.movie), config, tell=tell)
+    analysis = analyze(replace(opened, name=job.task.movie), config, decisions=decided, tell=tell)
     made = tables(analysis)
 
     def beside(folder: Path) -> None:
         write_report(analysis, folder / NAME, made=made)
         write_overview(analysis, made["summary"], folder)
 
-    save(analysis, job.out / RESULTS / job.task.key, overwrite=True, made=made, extra=beside if job.report else None)
+    save(analysis, result_of(job), overwrite=True, made=made, extra=beside if job.report else None)
     return analysis.verdict, int(analysis.beats.complete.sum())
 
 
