@@ -32,7 +32,7 @@ def agreement(analysis: Analysis, points: Any) -> dict[str, Any]:
         size = float(off[mine].mean()) if mine.any() else None
         each.append({"point": str(point), "clicks": int((clicks.point == point).sum()), "compared": int(mine.sum()),
                      "difference_px": size, "difference_um": _scaled(size, scale),
-                     "by_hand_px": [by_hand[mine].tolist()][0], "found_px": found[mine].tolist(),
+                     "by_hand_px": by_hand[mine].tolist(), "found_px": found[mine].tolist(),
                      "frames": clicks.frame[mine].tolist()})
     overall, moved = float(off[known].mean()), float(np.hypot(*by_hand[known].T).max())
     r2: dict[str, float | None] = {"row": None, "col": None}
@@ -46,8 +46,8 @@ def agreement(analysis: Analysis, points: Any) -> dict[str, Any]:
 
 def _sentence(overall: float, moved: float, allowed: float, scale: float | None) -> str:
     unit, by = ("µm", scale) if scale is not None else ("px", 1.0)
-    told = (f"Your clicks and the measurement differ by {overall * by:.2g} {unit} on average, where the largest movement "
-            f"that you clicked is {moved * by:.2g} {unit}.")
+    told = (f"Your clicks and the measurement differ by {overall * by:.2g} {unit} on average, where the largest "
+            f"movement that you clicked is {moved * by:.2g} {unit}.")
     if overall <= allowed:
         return f"{told} That is within what a hand can do ({allowed * by:.2g} {unit}): they agree."
     return (f"{told} That is more than a hand misses by ({allowed * by:.2g} {unit}). Look at the masks and the "

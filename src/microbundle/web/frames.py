@@ -53,6 +53,8 @@ class Shown:
     """As the file has it, calibrated."""
     movie: Movie
     """As it is measured."""
+    crop_px: tuple[int, int, int, int] | None
+    """Which part of the file's frames is measured, None for all."""
     key: tuple[str, tuple[int, int]]
     """What tells its pictures from those of another movie, or of an older file."""
 
@@ -80,7 +82,7 @@ class Movies:
                 part = config.reading
                 opened = read_movie(path, series=part.series, channel=part.channel, z=part.z)
                 whole = calibrated(opened, config.fps, config.um_per_px)
-                found = Shown(whole, prepare(whole, part), (key, now))
+                found = Shown(whole, prepare(whole, part), part.crop_px, (key, now))
             with self._lock:
                 self._open[key] = found
                 self._open.move_to_end(key)

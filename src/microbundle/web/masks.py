@@ -26,7 +26,6 @@ from ..pillar_masks import find_pillars
 from ..report.traces import rounded
 from ..tiles import divided_rectangle, place_tiles
 from .answers import Refused
-from .decisions import MASK
 from .frames import Shown
 from .results import told
 
@@ -35,6 +34,8 @@ TOLERANCE_PX = 1.0
 """By how much an outline may miss the mask's border."""
 PNG = b"\x89PNG\r\n\x1a\n"
 FORM = ("method", "frame", "min_stability")
+NAME = re.compile(r"tissue|pillar_[1-9][0-9]?")
+"""Names of masks."""
 ADDRESS = "data:image/png;base64,"
 
 
@@ -91,10 +92,10 @@ def wanted(shown: Shown, config: Config, asked: dict[str, Any]) -> Wanted:
     if asked.get("tissue_png") is not None:
         drawn["tissue"] = picture(asked["tissue_png"], shown.movie.shape)
     pillars = _of_kind(asked, "pillar_pngs")
-    for name, png in pillars.items():
-        if not MASK.fullmatch(name) or name == "tissue":
+    for name, drawing in pillars.items():
+        if not NAME.fullmatch(name) or name == "tissue":
             raise Refused(400, "BadRequest", f"{name[:50]}: expected a pillar's name, such as pillar_1")
-        drawn[name] = picture(png, shown.movie.shape)
+        drawn[name] = picture(drawing, shown.movie.shape)
     return Wanted(Config.from_dict(settings, source="settings"), drawn,
                   asked.get("pillar_pngs") is not None and not pillars)
 
@@ -191,10 +192,14 @@ def picture(text: Any, shape: tuple[int, int]) -> Bools:
     return np.asarray(seen & (found[..., 3] > 127)) if found.shape[2] == 4 else np.asarray(seen)
 
 
+def png(mask: Bools) -> bytes:
+    """Write a mask as PNG."""
+    return cv2.imencode(".png", np.asarray(mask, np.uint8) * 255, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+
+
 def address(mask: Bools) -> str:
     """Write a mask as the data address of a PNG."""
-    png = cv2.imencode(".png", np.asarray(mask, np.uint8) * 255, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
-    return ADDRESS + base64.b64encode(png.tobytes()).decode()
+    return ADDRESS + base64.b64encode(png(mask)).decode()
 
 
 def _of_kind(asked: dict[str, Any], name: str) -> dict[str, Any]:

@@ -14,14 +14,16 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from ..batch.plan import Task
-from . import decisions
+from ..decide import now
+from . import decided
 from .answers import Refused, not_there
-from .records import now
 from .results import result_of
 
 if TYPE_CHECKING:
     from .desk import Desk
 
+NOT_SURE = "Blind review: not sure."
+"""Note of a reviewer who looked at a movie, and neither accepts nor rejects it."""
 MOST = 1000
 """Tokens that are known at a time."""
 
@@ -68,21 +70,17 @@ class Reviews:
                 raise not_there("this movie is no longer under review here; go on with the next one")
             return self._cases[token]
 
-    def judge(self, desk: Desk, token: str, accept: bool, why: str) -> None:
-        """Keep a reviewer's verdict on a movie, beside what was decided on it before. Raises Refused."""
+    def judge(self, desk: Desk, token: str, accept: bool | None, why: str) -> None:
+        """Keep a reviewer's verdict on a movie, or that there is none, beside what was decided on it before.
+
+        Raises Refused, ConfigError and OutputError.
+        """
         case = self.case(token)
         result = result_of(desk.runs.home(case.run), case.key)
-        said = {"kind": "verdict", "accept": accept, "why": why, "by": case.reviewer, "at": now()}
-        for _ in range(5):
-            listed, version = decisions.read(result)
-            try:
-                decisions.write(result, [*listed, said], {}, version)
-                return
-            except Refused as error:
-                if error.kind != "Changed":
-                    raise
-        raise Refused(409, "Changed", "someone else keeps changing what was decided on this movie; try again")
+        what = {"kind": "note", "text": NOT_SURE} if accept is None else {"kind": "verdict", "accept": accept}
+        decided.add(result, {**what, "why": why, "by": case.reviewer, "at": now()})
 
     def _judged(self, desk: Desk, run: str, task: Task, reviewer: str) -> bool:
-        listed, _ = decisions.read(result_of(desk.runs.home(run), task.key))
-        return any(one.get("kind") == "verdict" and one.get("by") == reviewer for one in listed)
+        listed, _ = decided.read(result_of(desk.runs.home(run), task.key))
+        return any(one.get("by") == reviewer and (one["kind"] == "verdict" or one.get("text") == NOT_SURE)
+                   for one in listed)

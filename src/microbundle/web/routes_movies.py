@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
 from typing import Any
 
 from starlette.requests import Request
@@ -14,8 +13,8 @@ from ..batch.plan import Task
 from ..data import Bools
 from ..errors import ChoiceMissing, MicrobundleError
 from ..read import describe
-from . import clicks, decisions, masks
-from .answers import Refused, answer, body_of, number_in
+from . import clicks, decided, masks
+from .answers import Refused, answer, body_of, not_there, number_in
 from .desk import Desk
 from .frames import Shown
 from .results import files_of, findings_of, report_page, result_of, told
@@ -30,22 +29,25 @@ async def task_of(request: Request) -> tuple[Desk, str, Task]:
     return desk, run, await desk.do("light", desk.views.task, run, request.path_params["key"])
 
 
-def opened(desk: Desk, task: Task) -> Shown:
-    """Open a movie, whose files must lie within the folders of the app. Raises Refused and MicrobundleError."""
+def opened(desk: Desk, run: str, task: Task) -> Shown:
+    """Open a movie as the run, and a person's decisions on it, ask; its files must lie within the folders of the app.
+
+    Raises Refused and MicrobundleError.
+    """
     desk.places.check_frames(task.path)
-    return desk.movies.open(task.path, task.config)
+    return desk.movies.open(task.path, decided.config_of(result_of(desk.runs.home(run), task.key), task.config))
 
 
 async def movie(request: Request) -> Response:
     desk, run, task = await task_of(request)
-    info = await desk.do("open", _info, desk, task)
+    info = await desk.do("open", _info, desk, run, task)
     return answer(info | await desk.do("light", _about, desk, run, task))
 
 
-def _info(desk: Desk, task: Task) -> dict[str, Any]:
+def _info(desk: Desk, run: str, task: Task) -> dict[str, Any]:
     """What the file says, or why it cannot be opened."""
     try:
-        shown = opened(desk, task)
+        shown = opened(desk, run, task)
     except ChoiceMissing as choice:
         inside = describe(task.path)
         return {"info": None, "missing": [], "problem": None,
@@ -67,7 +69,7 @@ def _about(desk: Desk, run: str, task: Task) -> dict[str, Any]:
     """The movie in its run: what was decided and found, and its neighbours."""
     home, record = desk.runs.home(run), desk.runs.get(run)
     result = result_of(home, task.key)
-    listed, version = decisions.read(result)
+    listed, version = decided.read(result)
     row = desk.views.movie(record, home, task)
     row["decided"] = row.pop("decisions")
     try:
@@ -83,8 +85,8 @@ def _about(desk: Desk, run: str, task: Task) -> dict[str, Any]:
 
 
 async def frame(request: Request) -> Response:
-    desk, _, task = await task_of(request)
-    return await picture(request, desk, await desk.do("open", opened, desk, task))
+    desk, run, task = await task_of(request)
+    return await picture(request, desk, await desk.do("open", opened, desk, run, task))
 
 
 async def picture(request: Request, desk: Desk, shown: Shown) -> Response:
@@ -100,8 +102,8 @@ async def picture(request: Request, desk: Desk, shown: Shown) -> Response:
 
 
 async def grey(request: Request) -> Response:
-    desk, _, task = await task_of(request)
-    return await limits(desk, await desk.do("open", opened, desk, task))
+    desk, run, task = await task_of(request)
+    return await limits(desk, await desk.do("open", opened, desk, run, task))
 
 
 async def limits(desk: Desk, shown: Shown) -> Response:
@@ -111,11 +113,11 @@ async def limits(desk: Desk, shown: Shown) -> Response:
 
 
 async def measure_masks(request: Request) -> Response:
-    desk, _, task = await task_of(request)
+    desk, run, task = await task_of(request)
     asked = await body_of(request)
 
     def work() -> dict[str, Any]:
-        shown = opened(desk, task)
+        shown = opened(desk, run, task)
         return masks.measure(desk.found, shown, masks.wanted(shown, task.config, asked))
 
     return answer(await desk.do("masks", work))
@@ -126,20 +128,36 @@ async def decide(request: Request) -> Response:
     asked = await body_of(request)
     result, pictures = result_of(desk.runs.home(run), task.key), asked.get("masks") or {}
     version = asked.get("version")
-    if not isinstance(pictures, dict) or not all(decisions.MASK.fullmatch(name) for name in pictures):
+    if not isinstance(pictures, dict) or not all(masks.NAME.fullmatch(name) for name in pictures):
         raise Refused(400, "BadRequest", "masks: expected tissue, pillar_1, pillar_2, ...")
     if version is not None and not isinstance(version, str):
         raise Refused(400, "BadRequest", "version: expected a text")
 
     def work() -> dict[str, Any]:
-        drawn: Mapping[str, Bools] = {}
+        drawn: dict[str, Bools] = {}
         if pictures:
-            shape = opened(desk, task).movie.shape
-            drawn = {name: masks.picture(png, shape) for name, png in pictures.items()}
-        now = decisions.write(result, asked.get("decisions"), drawn, version)
-        return {"decisions": decisions.read(result)[0], "version": now}
+            shown = opened(desk, run, task)
+            drawn = {name: decided.whole_mask(masks.picture(png, shown.movie.shape), shown.whole, shown.crop_px)
+                     for name, png in pictures.items()}
+        listed, now = decided.write(result, asked.get("decisions"), drawn, version)
+        return {"decisions": listed, "version": now}
 
     return answer(await desk.do("light", work))
+
+
+async def kept_mask(request: Request) -> Response:
+    """A mask that a person decided on, on the frames as they are shown."""
+    desk, run, task = await task_of(request)
+    name = request.path_params["name"]
+
+    def work() -> bytes:
+        shown = opened(desk, run, task)
+        drawn = decided.drawn_masks(result_of(desk.runs.home(run), task.key), shown.whole, shown.crop_px)
+        if name not in drawn:
+            raise not_there(f"{name[:50]}: nobody has decided on such a mask")
+        return masks.png(drawn[name])
+
+    return Response(await desk.do("open", work), media_type="image/png")
 
 
 async def report(request: Request) -> Response:
@@ -165,7 +183,7 @@ async def verify(request: Request) -> Response:
 MOVIE_ROUTES = [
     Route(ROOM, movie), Route(f"{ROOM}/frame", frame), Route(f"{ROOM}/grey", grey),
     Route(f"{ROOM}/masks", measure_masks, methods=["POST"]),
-    Route(f"{ROOM}/decisions", decide, methods=["PUT"]),
+    Route(f"{ROOM}/decisions", decide, methods=["PUT"]), Route(f"{ROOM}/masks/{{name}}", kept_mask),
     Route(f"{ROOM}/report", report), Route(f"{ROOM}/traces", traces),
     Route(f"{ROOM}/clicks", verify, methods=["POST"]),
 ]

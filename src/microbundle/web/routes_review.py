@@ -29,8 +29,8 @@ async def following(request: Request) -> Response:
 async def judge(request: Request) -> Response:
     desk, asked = desk_of(request), await body_of(request)
     accept = asked.get("accept")
-    if not isinstance(accept, bool):
-        raise Refused(400, "BadRequest", "accept: expected true or false")
+    if accept is not None and not isinstance(accept, bool):
+        raise Refused(400, "BadRequest", "accept: expected true, false, or null for not sure")
     await desk.do("light", desk.reviews.judge, desk, request.path_params["token"], accept,
                   text_in(asked, "why", 2000, ""))
     return answer({})
@@ -47,12 +47,13 @@ def _told(desk: Desk, one: Case) -> dict[str, Any]:
     analysis = desk.results.load(result_of(home, one.key))
     row = desk.views.movie(desk.runs.get(one.run), home, task)
     rows, cols = analysis.image.shape[:2]
+    outer, holes = polygons(analysis.masks.tissue)
     pillars = () if analysis.pillars is None else analysis.pillars.pillars.masks
     return {
         "info": {"frames": analysis.frame_count, "rows": rows, "cols": cols,
                  "frames_per_s": None if analysis.time_s is None or len(analysis.time_s) < 2 else
                  (len(analysis.time_s) - 1) / float(analysis.time_s[-1] - analysis.time_s[0])},
-        "outlines": {"tissue": polygons(analysis.masks.tissue)[0],
+        "outlines": {"tissue": outer, "holes": holes,
                      "pillars": [line for mask in pillars for line in polygons(mask)[0]]},
         "beats": len(analysis.beats),
         "numbers": [{"label": term.name, "value": row["metrics"][term.column], "se": row["se"].get(term.column),
@@ -62,13 +63,13 @@ def _told(desk: Desk, one: Case) -> dict[str, Any]:
 async def frame(request: Request) -> Response:
     desk, one = _case(request)
     task = await desk.do("light", desk.views.task, one.run, one.key)
-    return await picture(request, desk, await desk.do("open", opened, desk, task))
+    return await picture(request, desk, await desk.do("open", opened, desk, one.run, task))
 
 
 async def grey(request: Request) -> Response:
     desk, one = _case(request)
     task = await desk.do("light", desk.views.task, one.run, one.key)
-    return await limits(desk, await desk.do("open", opened, desk, task))
+    return await limits(desk, await desk.do("open", opened, desk, one.run, task))
 
 
 async def traces(request: Request) -> Response:

@@ -19,11 +19,12 @@ from ..batch.collect import KEY_METRICS, UNITS, read_summary
 from ..batch.plan import Plan, Task
 from ..batch.state import RESULTS, STATUS, TABLE, Status, read_status
 from ..config import Config
+from ..decisions import sidecar_of
 from ..errors import ConfigError, MicrobundleError
 from ..lookup import entries
 from ..report import NAME
 from ..report.terms import Term, best_unit, pretty
-from . import decisions
+from . import decided
 from .answers import Refused, not_there
 from .records import Home, Record
 from .runs import Runs
@@ -108,12 +109,12 @@ class Views:
                                            lambda: read_status(home.out, task))
         doing = self.runs.progress(record.id).movies.get(task.movie) if record.state == "running" else None
         numbers: Numbers | None = self._file(result / TABLE, lambda: _numbers(result / TABLE))
-        listed: list[dict[str, Any]] = self._file(decisions.sidecar(result),
-                                                  lambda: _decisions(result)) or []
+        listed, version = self._file(sidecar_of(result), lambda: _decisions(result)) or ([], decided.NONE)
         state, stale = "todo", False
         if status is not None and status.movie == task.movie:
             state = status.state
-            stale = (bool(task.settings) and status.settings != task.settings) or self._newer(result, home, task)
+            stale = bool(task.settings) and (status.settings != task.settings
+                                             or (status.decisions or decided.NONE) != version)
         out = {
             "key": task.key, "movie": task.movie, "columns": dict(task.columns), "state": state, "stale": stale,
             "stage": "", "share": 1.0 if state in ("done", "failed") else 0.0,
@@ -144,14 +145,6 @@ class Views:
             return self.runs.plan(record.id)
         except (MicrobundleError, Refused):
             return None
-
-    def _newer(self, result: Path, home: Home, task: Task) -> bool:
-        """Tell whether something that changes the numbers was decided after they were made."""
-        try:
-            return (decisions.sidecar(result).stat().st_mtime_ns
-                    > (home.out / STATUS / f"{task.key}.json").stat().st_mtime_ns)
-        except OSError:
-            return False
 
     def _kept_tasks(self, home: Home) -> list[Task]:
         """The movies that a run has measured, where its source is gone."""
@@ -219,8 +212,8 @@ def _numbers(table: Path) -> Numbers:
     return Numbers(mean, error)
 
 
-def _decisions(result: Path) -> list[dict[str, Any]]:
+def _decisions(result: Path) -> tuple[list[dict[str, Any]], str]:
     try:
-        return decisions.read(result)[0]
-    except Refused:
-        return []
+        return decided.read(result)
+    except ConfigError:
+        return [], decided.NONE
