@@ -49,6 +49,7 @@ export function follow(path, event, heard, lost) {
     last = message.data;
     heard(JSON.parse(message.data));
   });
+  source.addEventListener("gone", () => location.assign("/"));
   source.addEventListener("open", () => lost(null));
   source.addEventListener("error", () => lost(SILENT));
   addEventListener("pagehide", () => source.close());

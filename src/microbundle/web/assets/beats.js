@@ -18,14 +18,12 @@ class Beats {
   }
 
   async load() {
-    try {
-      this.data = await get(`${this.movie.base}/traces`);
-    } catch (error) {
-      if (error.kind !== "NoResult") throw error;
+    if (!this.movie.measured) {
       this.panel.replaceChildren(make("p", { class: "reason" }, "Beats are found when the movie is measured. Start the run first."));
       this.chart = null;
       return;
     }
+    this.data = await get(`${this.movie.base}/traces`);
     if (!this.chart) this.build();
     this.chart.beats = this.bands();
     this.chart.show(this.lines(), this.signal.title);

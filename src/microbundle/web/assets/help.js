@@ -2,14 +2,13 @@
 
 import { get } from "./api.js";
 import { byId, make } from "./shared.js";
-import { trouble } from "./page.js";
+import { trouble, worded } from "./page.js";
 
 try {
   const [app, sections] = await Promise.all([get("/api/app"), get("/api/settings")]);
   byId("workspace").textContent = app.workspace;
-  byId("list").replaceChildren(...sections.map(({ section, text, fields }) => make("details", {}, make("summary", {},
-    section[0].toUpperCase() + section.slice(1)), make("p", { class: "note" }, text ?? ""), make("dl", { class: "help-list" },
-    ...fields.flatMap((one) => [make("dt", {}, one.label, " ", make("code", {}, one.key)), make("dd", {}, one.text ?? "",
+  byId("list").replaceChildren(...sections.map(({ title, text, fields }) => make("details", {}, make("summary", {}, title), make("p", { class: "note" }, ...worded(text)), make("dl", { class: "help-list" },
+    ...fields.flatMap((one) => [make("dt", {}, one.label, " ", make("code", {}, one.key)), make("dd", {}, ...worded(one.text),
       ...(one.default === null || one.default === undefined ? [] : [` Default: ${JSON.stringify(one.default)}.`]))])))));
 } catch (error) {
   trouble(error);

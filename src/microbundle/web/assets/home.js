@@ -27,9 +27,11 @@ onClick(byId("example"), async () => {
 follow("/api/events", "runs", ({ runs }) => showRuns(byId("runs"), runs), connection);
 
 try {
-  const [app, { runs }] = await Promise.all([get("/api/app"), get("/api/runs"), browser.go("")]);
+  const [app, { runs }] = await Promise.all([get("/api/app"), get("/api/runs")]);
   showRuns(byId("runs"), runs);
-  byId("first").hidden = runs.length > 0 && app.example;
+  byId("first").hidden = !app.example || runs.length > 0;
+  const { entries } = await browser.go("");
+  if (entries.length === 1) await browser.go(entries[0].at);
 } catch (error) {
   trouble(error);
 }

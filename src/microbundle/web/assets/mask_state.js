@@ -6,8 +6,7 @@ import { fileOf, picture } from "./api.js";
 import { Raster } from "./raster.js";
 
 export const AUTOMATIC = { method: "auto", frame: 0, tissue: null, pillars: null, axis_deg: null, extents_px: null, tiles: null };
-const NO_MARGIN = { shrink_rows: 0, shrink_columns: 0 };
-const STRAIN = ["extents_px", "tiles", "shrink_rows", "shrink_columns"];
+const STRAIN = ["extents_px", "tiles"];
 
 export async function stateOf(movie) {
   const state = { ...AUTOMATIC }, { rows, cols } = movie.info;
@@ -42,7 +41,7 @@ export function settingsOf(state) {
   return out;
 }
 
-export const strainOf = ({ extents_px: extents, tiles }) => ({ ...(extents ? { extents_px: extents, ...NO_MARGIN } : {}),
+export const strainOf = ({ extents_px: extents, tiles }) => ({ ...(extents ? { extents_px: extents } : {}),
   ...(tiles ? { tiles } : {}) });
 
 // Older decisions without what is decided anew here.

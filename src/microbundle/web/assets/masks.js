@@ -25,7 +25,7 @@ const HINTS = {
   paint: "Drag to add. By keys: arrows move the cross, space paints.",
   erase: "Drag to take away. By keys: arrows move the cross, space erases.",
   axis: "Drag an end of the axis to turn it, or tab to it and use the arrow keys.",
-  tiles: "Drag the rectangle or its sides, or tab to them and use the arrow keys.",
+  tiles: "Drag the rectangle that is divided, or its sides; a margin of it stays free. By keys: tab to a side, arrows move it.",
 };
 
 export async function startMasks(panel, movie) {
@@ -91,13 +91,14 @@ class Editor {
     this.save = make("button", { type: "button", class: "main" }, "Use these masks");
     this.save.addEventListener("click", () => does(this.save, () => this.keep()));
     this.discard = button("Back to what is saved", () => this.history.push(this.saved));
+    this.drop = button("Take this pillar away", () => this.dropPillar());
     this.automatic = button("Automatic again", () => this.history.push({ ...AUTOMATIC }));
     this.unsaved = make("p", { class: "note", role: "status" });
     panel.replaceChildren(make("div", { class: "controls" }, make("label", {}, "Change ", this.targets), this.tools, this.brushLabel,
       this.undo, this.redo), this.hint, make("div", { class: "beside" }, left, make("div", { class: "side" }, this.verdict,
       this.findings, this.numbers, make("div", { class: "pair-of" }, make("label", {}, "Tissue found by ", this.method),
         make("span", {}, "Sub-domains ", ...[this.counts[0], " × ", this.counts[1]])),
-      make("p", { class: "choices" }, button("Take pillar away", () => this.dropPillar(), { class: "drop-pillar" }), this.automatic,
+      make("p", { class: "choices" }, this.drop, this.automatic,
         this.discard), make("p", { class: "choices" }, this.save), this.unsaved)));
     this.viewer = new Viewer(left, { base: this.movie.base, info: this.movie.info, label: "Picture with masks", state: this.movie.frame });
     this.viewer.stage.setAttribute("aria-describedby", "mask-hint");
@@ -140,7 +141,7 @@ class Editor {
   mask() { return (this.target === "tissue" ? this.state.tissue : this.state.pillars?.[this.target]) ?? this.answer; }
 
   polygons() {
-    if (this.target === "tissue") return this.answer?.tissue ?? [];
+    if (this.target === "tissue") return [...(this.answer?.tissue ?? []), ...(this.answer?.holes ?? [])];
     const pillar = this.answer?.pillars.find((one) => one.name === this.target);
     return pillar ? rings(pillar.polygon) : [];
   }
@@ -223,9 +224,10 @@ class Editor {
     const names = ["tissue", ...new Set([...answer.pillars.map((one) => one.name), ...(this.target === "tissue" ? [] : [this.target])])];
     this.targets.replaceChildren(...names.map((name) => make("option", { value: name, selected: name === this.target }, named(name))),
       make("option", { value: "new" }, "A new pillar …"));
+    this.drop.hidden = this.target === "tissue";
     this.method.value = this.state.method;
     this.method.parentNode.hidden = this.state.tissue !== null;
-    const grid = gridOf(answer.tile_labels);
+    const grid = answer.grid ?? ["", ""];
     this.counts.forEach((input, i) => { if (document.activeElement !== input) input.value = this.state.tiles?.[i] ?? grid[i]; });
     this.showVerdict();
     this.showLayer();
@@ -266,9 +268,9 @@ class Editor {
   }
 
   showLayer() {
-    const { tissue, pillars, axis, tiles, tile_labels: labels } = this.answer, parts = [];
+    const { tissue, holes, pillars, axis, tiles, tile_labels: labels } = this.answer, parts = [];
     const own = this.toolName === "corners";
-    if (!(own && this.target === "tissue")) parts.push(draw("path", { class: "tissue", d: ringPath(tissue) }));
+    if (!(own && this.target === "tissue")) parts.push(draw("path", { class: "tissue", d: ringPath([...tissue, ...holes]) }));
     for (const one of pillars) {
       if (!(own && this.target === one.name)) parts.push(draw("path", { class: "pillar", d: ringPath(rings(one.polygon)) }));
     }
@@ -300,9 +302,3 @@ export const named = (name) => (name === "tissue" ? "Tissue" : name.replace("pil
 
 // A mask's outline may be one ring or several.
 export const rings = (polygon) => (polygon.length && Array.isArray(polygon[0][0]) ? polygon : [polygon]);
-
-function gridOf(labels) {
-  if (!labels.length) return ["", ""];
-  const along = Math.max(...labels.map((label) => Number(label.replace(/\D+/, ""))));
-  return [Math.round(labels.length / along), along];
-}

@@ -2,7 +2,7 @@
 
 import { follow, get, ofMovie, ofRun, pageOf, post, send } from "./api.js";
 import { startBeats } from "./beats.js";
-import { startFrames } from "./movie_frames.js";
+import { showChoice, startFrames } from "./movie_frames.js";
 import { startMasks } from "./masks.js";
 import { startNotes } from "./notes.js";
 import { startResult } from "./result.js";
@@ -21,7 +21,7 @@ class Movie {
     Object.assign(this, await get(this.base));
   }
 
-  get measured() { return this.state === "done"; }
+  get measured() { return this.result.files.some((file) => file.name === "result.nc"); }
 
   sign(why = "") {
     const by = drafts.get("person") ?? "";
@@ -60,7 +60,7 @@ function show(movie) {
   const facts = info && [`${info.frames} frames`, `${info.rows} × ${info.cols} px`, info.frames_per_s ? `${Number(info.frames_per_s.toPrecision(4))} frames/s`
     : "frame rate not known", info.um_per_px ? `${Number(info.um_per_px.toPrecision(4))} µm/px` : "pixel size not known", info.format];
   byId("what").textContent = (facts ?? []).filter(Boolean).join(" · ");
-  byId("stale").hidden = !movie.stale || ["running", "queued"].includes(movie.state);
+  byId("stale").hidden = !movie.stale;
   for (const [id, key] of [["previous", movie.previous], ["following", movie.next]]) {
     byId(id).hidden = !key;
     if (key) byId(id).href = `${pageOf(movie.run, key)}${location.hash}`;
@@ -74,12 +74,18 @@ async function start() {
   startTabs(byId("tabs"), (name) => {
     const panel = byId(`panel-${name}`);
     for (const id of ["previous", "following"]) byId(id).href = byId(id).href.replace(/#.*|$/, `#${name}`);
-    if (!movie.info && !["result", "notes"].includes(name)) {
-      panel.replaceChildren(make("p", { class: "reason" }, movie.message || "This movie cannot be read."));
+    if (movie.to_choose && name === "movie") {
+      showChoice(panel, movie);
       return;
     }
+    if (!movie.info && !["result", "notes"].includes(name)) {
+      panel.replaceChildren(make("p", { class: "reason" }, movie.problem?.message ?? movie.to_choose?.text ?? movie.message ?? "This movie cannot be read."));
+      return;
+    }
+    if (!movie.started[name]) panel.replaceChildren(make("p", { class: "note" }, "Reading …"));
     movie.started[name] ??= TABS[name](panel, movie).catch((error) => {
       delete movie.started[name];
+      panel.replaceChildren(make("p", { class: "reason" }, error.message));
       trouble(error);
     });
   });

@@ -1,9 +1,10 @@
 // The movie itself, what its file says of it, and which of several recordings it is.
 
-import { pageOf } from "./api.js";
+import { get, ofRun, pageOf, send } from "./api.js";
+import { changed } from "./settings.js";
 import { make } from "./shared.js";
 import { Viewer } from "./viewer.js";
-import { does, trouble } from "./page.js";
+import { button } from "./page.js";
 
 const SOURCES = { file: "from the file", user: "given by you", unknown: "not known" };
 
@@ -32,19 +33,22 @@ function facts(movie) {
       make("a", { href: `${pageOf(movie.run)}` }, "settings of the run"), "."));
   }
   if (info.findings?.length) out.push(make("ul", { class: "told" }, ...info.findings.map((one) => make("li", { class: one.level }, one.message))));
-  if (movie.to_choose?.series?.length > 1) out.push(choice(movie));
   return out;
 }
 
-// A file with several recordings: which one this is, as a decision on this movie.
-function choice(movie) {
-  const now = movie.decisions.findLast((one) => one.kind === "settings" && one.settings.reading?.series !== undefined)?.settings.reading.series;
-  const select = make("select", {}, ...movie.to_choose.series.map((name, i) => make("option", { value: i, selected: i === (now ?? 0) },
-    typeof name === "string" ? name : name.name ?? `${i}`)));
-  select.addEventListener("change", () => does(select, async () => {
-    await movie.save((decisions) => [...decisions.filter((one) => one.settings?.reading?.series === undefined),
-      { kind: "settings", settings: { reading: { series: Number(select.value) } }, ...movie.sign() }]);
+// A file with several recordings: which one is meant, for all movies of the run.
+export function showChoice(panel, movie) {
+  const { text, series } = movie.to_choose, named = (one, i) => `${i}: ${one.name ?? "without a name"}`;
+  const which = make("select", { name: "series" }, ...series.map((one, i) => make("option", { value: i }, named(one, i))));
+  const numbers = ["channel", "z"].map((name) => make("input", { type: "number", min: 0, name }));
+  const take = button("Take this one", async () => {
+    const { settings } = await get(ofRun(movie.run));
+    const asked = [which, ...numbers].filter((one) => one.value !== "");
+    await send("PATCH", ofRun(movie.run), { settings: asked.reduce((tree, one) => changed(tree, `reading.${one.name}`, Number(one.value)),
+      settings ?? {}) });
     location.reload();
-  }).catch(trouble));
-  return make("label", { class: "field" }, "Recording of this file ", select);
+  }, { class: "main" });
+  panel.replaceChildren(make("p", { class: "reason" }, text), make("div", { class: "ask" }, make("label", {}, "Recording ", which),
+    make("label", {}, "Channel, counted from 0 ", numbers[0]), make("label", {}, "Focal plane, counted from 0 ", numbers[1])),
+  make("p", { class: "choices" }, take), make("p", { class: "note" }, "It holds for all movies of this run."));
 }

@@ -3,9 +3,9 @@
 import { byId, make, showTips } from "./shared.js";
 
 export const STATES = { draft: "Not started", queued: "Waiting", running: "Running", done: "Done", stopped: "Stopped",
-  failed: "Failed", todo: "Not yet" };
+  failed: "Failed", todo: "Not yet", preparing: "Being made" };
 export const VERDICTS = { pass: "Pass", review: "Review", fail: "Fail" };
-const STATE_LOOK = { running: "info", queued: "info", done: "pass", stopped: "review", failed: "fail" };
+const STATE_LOOK = { running: "info", queued: "info", preparing: "info", done: "pass", stopped: "review", failed: "fail" };
 
 export function badge(element, state) {
   element.textContent = STATES[state] ?? VERDICTS[state] ?? state;
@@ -58,6 +58,9 @@ export function button(text, action, attributes = {}) {
   onClick(made, action);
   return made;
 }
+
+// A text with `code` in it, as the settings' texts have.
+export const worded = (text) => (text ?? "").split("`").map((part, i) => (i % 2 ? make("code", {}, part) : part));
 
 export const counted = (n, one, many = `${one}s`) => `${n} ${n === 1 ? one : many}`;
 

@@ -8,6 +8,13 @@ const SIDE = 40, EDGE = 26;
 
 const letters = (row) => (row >= 26 ? String.fromCharCode(64 + Math.floor(row / 26)) : "") + String.fromCharCode(65 + row % 26);
 
+// Colours never spread over less than a twentieth of the values: that would paint their errors.
+function limits(values) {
+  const low = Math.min(...values), high = Math.max(...values), least = 0.05 * Math.max(Math.abs(low), Math.abs(high));
+  const more = Math.max(0, least - (high - low)) / 2;
+  return [low - more, high + more];
+}
+
 export class Plates {
   constructor(host, run) {
     this.host = host;
@@ -45,7 +52,16 @@ export class Plates {
       "aria-label": `Plate ${name}; arrow keys go from well to well` });
     for (let c = 0; c < cols; c += 1) svg.append(draw("text", { x: EDGE + (c + 0.5) * SIDE, y: EDGE / 2 }, c + 1));
     for (let r = 0; r < rows; r += 1) svg.append(draw("text", { x: EDGE / 2, y: EDGE + (r + 0.5) * SIDE }, letters(r)));
+    svg.style.maxWidth = `${Math.min(62, 3 + 4.6 * cols)}rem`;
     const small = rows * cols > 96, own = new Map();
+    const taken = new Set(wells.map((well) => `${well.row} ${well.col}`));
+    for (let r = 0; r < rows; r += 1) {
+      for (let c = 0; c < cols; c += 1) {
+        if (!taken.has(`${r} ${c}`)) {
+          svg.append(draw("circle", { class: "free", cx: EDGE + (c + 0.5) * SIDE, cy: EDGE + (r + 0.5) * SIDE, r: SIDE / 2 - 3 }));
+        }
+      }
+    }
     for (const well of wells) {
       const x = EDGE + (well.col + 0.5) * SIDE, y = EDGE + (well.row + 0.5) * SIDE;
       const ring = draw("circle", { cx: x, cy: y, r: SIDE / 2 - 3 }), text = draw("text", { class: "value", x, y });
@@ -78,7 +94,7 @@ export class Plates {
     const shown = this.metrics.find((one) => one.column === this.metric.value);
     const value = (movie) => (shown ? movie?.metrics?.[shown.column] ?? null : null);
     const known = this.wells.map(({ well }) => value(movies.get(well.key))).filter((one) => one !== null);
-    const low = Math.min(...known), high = Math.max(...known);
+    const [low, high] = limits(known);
     this.ramp.parentNode.hidden = !known.length;
     [this.low.textContent, this.high.textContent] = known.length ? [written(low, 3), `${written(high, 3)} ${shown.unit}`] : ["", ""];
     for (const { well, ring, text, link } of this.wells) {

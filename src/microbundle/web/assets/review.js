@@ -38,6 +38,7 @@ async function next(reviewer) {
       make("p", {}, make("a", { class: "button main", href: pageOf(run) }, "Back to the run")));
     return;
   }
+  host.replaceChildren(make("p", { class: "note" }, "Reading …"));
   const base = `/api/review/${encodeURIComponent(token)}`, [movie, data] = await Promise.all([get(base), get(`${base}/traces`)]);
   show(reviewer, base, movie, data, n, of);
 }
@@ -60,8 +61,8 @@ function show(reviewer, base, movie, data, n, of) {
   host.replaceChildren(make("p", { class: "note" }, `Movie ${n} of ${of}, reviewed by ${reviewer}`), make("progress", { max: of, value: n - 1,
     "aria-label": "Reviewed" }), make("div", { class: "beside even" }, left, right));
   const viewer = new Viewer(left, { base, info: movie.info, label: "Movie to review. Space plays, arrow keys step.", state });
-  viewer.over.append(draw("g", { class: "masks", "aria-hidden": "true" }, ...(movie.outlines?.tissue ?? []).map((ring) => draw("path", { class: "tissue",
-    d: ringPath([ring]) })), ...(movie.outlines?.pillars ?? []).map((polygon) => draw("path", { class: "pillar", d: ringPath(rings(polygon)) }))));
+  viewer.over.append(draw("g", { class: "masks", "aria-hidden": "true" }, ...[...movie.outlines.tissue, ...(movie.outlines.holes ?? [])].map((ring) => draw("path", { class: "tissue",
+    d: ringPath([ring]) })), ...movie.outlines.pillars.map((polygon) => draw("path", { class: "pillar", d: ringPath(rings(polygon)) }))));
   const { time } = data, step = time.length > 1 ? (time.at(-1) - time[0]) / (time.length - 1) : 1, range = new State({ low: null, high: null });
   const at = (frame) => time[Math.max(0, Math.min(time.length - 1, frame))];
   const charts = data.signals.slice(0, 3).map((signal) => new Chart(right, { range, id: signal.id, height: 130, title: signal.title, unit: signal.unit,

@@ -36,7 +36,7 @@ function render() {
   byId("command").textContent = run.command;
   renderNext();
   showTable();
-  settings?.show();
+  settings?.show(byId("ask").dataset.for?.split(","));
   showPlate().catch(trouble);
   showFiles().catch(trouble);
 }
@@ -55,6 +55,7 @@ function nextText() {
     case "draft": return !movies.size ? "No movie was found here. Open another folder."
       : unknown ? `Some files do not say ${unknown}. Fill in what you know; what is left empty gives results in frames and pixels.`
         : "Everything that is needed is known.";
+    case "preparing": return "The example plate is being rendered. That takes a minute.";
     case "queued": return "Waits until the run before it has ended.";
     case "running": return `${done} of ${total} measured${left ? `, about ${duration(left)} left` : ""}. You may close this page; `
       + "the run goes on.";
@@ -72,15 +73,16 @@ function nextText() {
 }
 
 function renderNext() {
-  const { state, progress = {} } = run, running = state === "running";
+  const { state, progress = {} } = run, running = ["running", "preparing"].includes(state);
   byId("next-text").textContent = nextText();
   const text = { draft: `Start measuring ${counted(movies.size, "movie")}`, stopped: "Go on", failed: "Try again",
     done: stale() ? `Measure ${counted(stale(), "movie")} again` : null }[state];
   byId("go").hidden = !text || !movies.size;
   byId("go").textContent = text ?? "";
   byId("cancel").hidden = !["running", "queued"].includes(state);
-  byId("clear").hidden = ["running", "queued"].includes(state);
+  byId("clear").hidden = ["running", "queued", "preparing"].includes(state);
   byId("zip").hidden = !count((movie) => movie.state === "done");
+  byId("zip").classList.toggle("main", state === "done" && !stale());
   byId("progress").hidden = !running && state !== "stopped";
   byId("bar").value = progress.share ?? 0;
   byId("left").textContent = running ? `${Math.floor(100 * (progress.share ?? 0))} %` : "";
@@ -117,7 +119,7 @@ function columns() {
     { id: "movie", label: "Movie", rowHead: true, value: (movie) => movie.movie,
       cell: (movie) => make("a", { href: pageOf(id, movie.key) }, movie.movie) },
     { id: "pick", label: "Chosen to compare", look: "pick", cell: pick },
-    ...(run.columns ?? []).map((name) => ({ id: `column ${name}`, label: name, value: (movie) => movie.columns?.[name] ?? null })),
+    ...(run.columns ?? []).map((name) => ({ id: `column ${name}`, label: name, words: true, value: (movie) => movie.columns?.[name] ?? null })),
     { id: "state", label: "State", words: true, value: (movie) => movie.verdict ?? movie.state, cell: state },
     { id: "beats", label: "Beats", value: (movie) => movie.beats ?? null },
     ...metrics.map((one) => ({ id: one.column, label: one.label, unit: one.unit, tip: one.tip,
@@ -238,6 +240,7 @@ try {
   heard(await get(ofRun(id)));
   settings = new SettingsForm(byId("settings"), id, () => run, heard);
   await settings.start();
+  settings.show(byId("ask").dataset.for.split(","));
   if (location.hash === "#plate") await view(true);
   follow(`${ofRun(id)}/events`, "run", heard, connection);
 } catch (error) {

@@ -2,12 +2,12 @@
 
 import { get, ofRun, send } from "./api.js";
 import { make } from "./shared.js";
-import { say, soon, trouble } from "./page.js";
+import { say, soon, trouble, worded } from "./page.js";
 
+const CALIBRATION = ["fps", "um_per_px"];
 const FIRST = ["pillars.stiffness_un_per_um", "method"];
-const SWITCHES = [["figures", "Figures for a paper", "PNG and PDF of every kind for each movie (takes longer)."],
-  ["movies", "Movies", "The beating tissue in colours, as MP4, for each movie (takes longer)."],
-  ["excel", "Excel", "All tables of a movie in one workbook."]];
+const SWITCHES = [["figures", "figures", "Figures for a paper", "PNG and PDF of every kind for each movie (takes longer)."],
+  ["movies", "movie_files", "Movies", "The beating tissue in colours, as MP4, for each movie (takes longer)."]];
 
 export const at = (tree, key) => key.split(".").reduce((part, name) => part?.[name], tree) ?? null;
 
@@ -25,6 +25,8 @@ export function changed(tree, key, value) {
 const written = (value) => (value === null || value === undefined ? "" : Array.isArray(value) ? JSON.stringify(value).slice(1, -1)
   .replaceAll(",", ", ") : `${value}`);
 
+const hint = ({ key, default: standard }) => (CALIBRATION.includes(key) ? "from the file" : written(standard) || "not given");
+
 export class SettingsForm {
   // `now()` gives the run as it is known; `heard` is called with the run after a change.
   constructor(host, run, now, heard) {
@@ -33,20 +35,22 @@ export class SettingsForm {
   }
 
   async start() {
-    this.sections = await get("/api/settings");
+    const [app, sections] = await Promise.all([get("/api/app"), get("/api/settings")]);
+    this.sections = sections;
     const all = this.sections.flatMap((section) => section.fields), first = FIRST.map((key) => all.find((one) => one.key === key));
-    const calibration = this.sections[0].fields.filter((one) => ["fps", "um_per_px"].includes(one.key));
-    const names = make("div", { class: "fields" }, this.pattern(), ...SWITCHES.map((one) => this.flag(...one)));
+    const calibration = this.sections[0].fields.filter((one) => CALIBRATION.includes(one.key));
+    const names = make("div", { class: "fields" }, this.pattern(), ...(app.pictures ? SWITCHES : []).map((one) => this.flag(...one)));
     this.host.replaceChildren(make("div", { class: "fields" }, ...[...calibration, ...first].filter(Boolean).map((one) => this.field(one))),
-      make("details", {}, make("summary", {}, "Names, and what is written"), names),
-      ...this.sections.map((section) => this.section(section, [...calibration, ...first])).filter(Boolean));
+      make("details", {}, make("summary", {}, app.pictures ? "Names, and what is written" : "Names"), names),
+      make("details", {}, make("summary", {}, "All other settings", make("span", { class: "note" }, "meant to be left alone")),
+        ...this.sections.map((section) => this.section(section, [...calibration, ...first])).filter(Boolean)));
     this.show();
   }
 
-  section({ section, text, fields }, shown) {
+  section({ title, text, fields }, shown) {
     const rest = fields.filter((one) => !shown.includes(one));
     if (!rest.length) return null;
-    return make("details", {}, make("summary", {}, section[0].toUpperCase() + section.slice(1)), make("p", { class: "note" }, text ?? ""),
+    return make("details", {}, make("summary", {}, title), make("p", { class: "note" }, ...worded(text)),
       make("div", { class: "fields" }, ...rest.map((one) => this.field(one))));
   }
 
@@ -56,8 +60,8 @@ export class SettingsForm {
     const input = one.choices?.length ? make("select", common, ...one.choices.map((choice) => make("option", { value: choice }, choice)))
       : one.type === "boolean" ? make("input", { ...common, type: "checkbox" })
         : ["number", "integer"].includes(one.type) ? make("input", { ...common, type: "number", step: one.type === "integer" ? 1 : "any",
-          min: one.minimum ?? null, max: one.maximum ?? null, placeholder: written(one.default) || "by itself" })
-          : make("input", { ...common, type: "text", autocomplete: "off", placeholder: written(one.default) || "by itself" });
+          min: one.minimum ?? one.above ?? null, max: one.maximum ?? one.below ?? null, placeholder: hint(one) })
+          : make("input", { ...common, type: "text", autocomplete: "off", placeholder: hint(one) });
     const wrong = make("p", { class: "wrong", role: "alert" }), set = make("span", { class: "set" });
     const entry = { ...one, input, wrong, set };
     this.fields.set(one.key, entry);
@@ -71,8 +75,8 @@ export class SettingsForm {
       this.keep({ settings: changed(this.now().settings ?? {}, one.key, value) }, entry);
     });
     const label = make("label", { for: id }, one.label, ...(one.unit ? [" ", make("span", { class: "unit" }, one.unit)] : []));
-    return make("div", { class: "field" }, one.type === "boolean" ? make("span", {}, input, label) : label,
-      ...(one.type === "boolean" ? [] : [input]), set, wrong, make("p", { class: "help", id: `${id}-help` }, one.text ?? ""));
+    return entry.host = make("div", { class: "field" }, one.type === "boolean" ? make("span", {}, input, label) : label,
+      ...(one.type === "boolean" ? [] : [input]), set, wrong, make("p", { class: "help", id: `${id}-help` }, ...worded(one.text)));
   }
 
   // The value in a field: null for the default, undefined for what cannot be read.
@@ -84,7 +88,7 @@ export class SettingsForm {
     if (type === "number" || type === "integer") return Number.isFinite(Number(text)) ? Number(text) : undefined;
     if (type === "string") return text;
     try {
-      return JSON.parse(`[${text}]`);
+      return JSON.parse(`[${text.replace(/^\[(.*)\]$/s, type === "rows" && !text.startsWith("[[") ? "[$1]" : "$1")}]`);
     } catch {
       return undefined;
     }
@@ -101,11 +105,11 @@ export class SettingsForm {
         + "number, any other part in {} becomes a column, and * is left out. / stands between folders."));
   }
 
-  flag(key, label, help) {
+  flag(key, shown, label, help) {
     const input = make("input", { id: `set-${key}`, type: "checkbox", "aria-describedby": `set-${key}-help` });
     const wrong = make("p", { class: "wrong", role: "alert" });
     input.addEventListener("change", () => this.send({ [key]: input.checked }, { input, wrong }));
-    this.fields.set(`:${key}`, { input, key: `:${key}`, wrong });
+    this.fields.set(`:${shown}`, { input, key: `:${shown}`, wrong });
     return make("div", { class: "field" }, make("span", {}, input, make("label", { for: `set-${key}` }, label)), wrong,
       make("p", { class: "help", id: `set-${key}-help` }, help));
   }
@@ -128,8 +132,12 @@ export class SettingsForm {
     }
   }
 
-  // Shows the run's settings, but leaves alone what is being typed or is wrong.
-  show() {
+  // Shows the run's settings, but leaves alone what is being typed or is wrong, and hides what is asked for elsewhere.
+  show(asked = []) {
+    for (const key of CALIBRATION) {
+      const { host } = this.fields.get(key) ?? {};
+      if (host) host.hidden = asked.includes(key);
+    }
     const run = this.now(), busy = ["queued", "running"].includes(run.state);
     const fill = (input, put) => {
       input.disabled = busy;

@@ -55,6 +55,7 @@ async function start() {
     body.append(make("p", { class: "reason" }, "Choose two movies above."));
     return;
   }
+  body.append(make("p", { class: "note", role: "status" }, "Reading …"));
   const parts = await Promise.all(chosen.map(async (movie) => {
     const [about, data] = await Promise.all([get(ofMovie(run, movie.key)), get(`${ofMovie(run, movie.key)}/traces`)]);
     return { movie, about, data, state: new State({ frame: 0 }) };
@@ -68,7 +69,7 @@ function show(body, parts, step, metrics) {
     return [box, new Viewer(box, { base: ofMovie(run, movie.key), info: about.info, label: `Movie ${movie.movie}. Space plays both, arrow keys step.`, state })];
   });
   const traces = make("div");
-  body.append(make("div", { class: "beside even" }, ...columns.map(([box]) => box)), traces, numbers(parts, metrics));
+  body.replaceChildren(make("div", { class: "beside even" }, ...columns.map(([box]) => box)), traces, numbers(parts, metrics));
   let clocks, leading = false;
   const range = new State({ low: null, high: null }), charts = [];
   const follow = (from) => {

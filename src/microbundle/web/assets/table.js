@@ -82,10 +82,9 @@ export class Table {
       const key = this.key(row), signature = JSON.stringify(row);
       let kept = this.rows.get(key);
       if (!kept || kept.signature !== signature) {
-        const cells = this.columns.map((column, i) => {
+        const cells = this.columns.map((column) => {
           const content = column.cell ? column.cell(row) : column.value(row) ?? "–";
           const kind = column.rowHead ? make("th", { scope: "row" }) : make("td", { class: column.words ? "words" : column.look ?? null });
-          if (i === 0 && column.rowHead) kind.classList.add("first");
           kind.append(...[content].flat());
           return kind;
         });

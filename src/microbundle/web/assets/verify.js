@@ -21,13 +21,11 @@ class Verify {
 
   async start() {
     if (this.viewer) return;
-    try {
-      this.data = await get(`${this.movie.base}/traces`);
-    } catch (error) {
-      if (error.kind !== "NoResult") throw error;
+    if (!this.movie.measured) {
       this.panel.replaceChildren(make("p", { class: "reason" }, "There are no tracks yet to compare with. Measure the movie first."));
       return;
     }
+    this.data = await get(`${this.movie.base}/traces`);
     this.frames = this.chosenFrames();
     this.clicks = drafts.get(this.draftKey) ?? [];
     this.at = 0;
@@ -71,13 +69,17 @@ class Verify {
     this.cross = new Crosshair(this.viewer, (at) => this.click(at), { Backspace: () => this.undo() });
     this.cross.moved = (at) => this.magnify(at);
     this.cross.start();
+    this.viewer.painted = () => this.magnify(this.pointed ?? this.cross.at);
     this.viewer.stage.addEventListener("pointerdown", (event) => {
       if (event.button !== 0) return;
       event.preventDefault();
       this.viewer.stage.focus({ preventScroll: true });
       this.click(this.viewer.place(event));
     });
-    this.viewer.stage.addEventListener("pointermove", (event) => this.magnify(this.viewer.place(event)));
+    this.viewer.stage.addEventListener("pointermove", (event) => {
+      this.pointed = this.viewer.place(event);
+      this.magnify(this.pointed);
+    });
   }
 
   ofFrame(frame) { return this.clicks.filter((one) => one.frame === frame); }
@@ -155,11 +157,11 @@ class Verify {
 
   async ask() {
     const told = await post(`${this.movie.base}/clicks`, { points: this.clicks });
-    const unit = told.unit ?? "px", rows = (told.points ?? []).map((one) => make("tr", {}, make("th", { scope: "row" }, `Spot ${one.point}`),
+    const rows = told.points.map((one) => make("tr", {}, make("th", { scope: "row" }, `Spot ${one.point}`),
       make("td", {}, `${written(one.difference_px, 3)} px`), make("td", {}, one.difference_um ? `${written(one.difference_um, 3)} µm` : "–")));
-    this.answer.replaceChildren(make("p", { class: `verdict ${told.verdict ?? "info"}` }, told.sentence ?? told.message ?? ""),
-      make("table", {}, make("caption", {}, `Mean distance between your clicks and the tracks, ${unit === "px" ? "in pixels" : "in pixels and µm"}`),
+    this.answer.replaceChildren(make("p", { class: `verdict ${told.agrees ? "pass" : "review"}` }, make("span", {}, told.verdict)),
+      make("table", {}, make("caption", {}, "Mean distance between your clicks and the tracks"),
         make("thead", {}, make("tr", {}, ...["Spot", "px", "µm"].map((name) => make("th", { scope: "col" }, name)))), make("tbody", {}, ...rows)));
-    say(told.sentence ?? "Compared.");
+    say(told.verdict);
   }
 }

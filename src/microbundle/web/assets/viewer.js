@@ -146,6 +146,7 @@ export class Viewer {
     this.canvas.getContext("2d").drawImage(bitmap, 0, 0);
     this.shown = t;
     this.stage.dataset.frame = t;
+    this.painted?.();
   }
 
   again() {
@@ -170,7 +171,7 @@ export class Viewer {
     if (!room) return;
     const fit = Math.min(room, innerHeight * TALLEST * cols / rows), size = Math.round(fit * this.zoom);
     this.view.style.maxHeight = `${Math.ceil(fit * rows / cols) + 2}px`;
-    this.stage.style.width = `${size}px`;
+    this.stage.style.width = size === Math.round(room) ? "100%" : `${size}px`;
     this.stage.style.aspectRatio = `${cols} / ${rows}`;
     this.scale = size / cols; // Screen pixels for one of the movie's.
     this.over.style.setProperty("--px", `${1 / this.scale}`);
