@@ -81,10 +81,18 @@ def kind_of(folder: Path, looked_at: int) -> str:
 
 def _sorted(listed: list[os.DirEntry[str]]) -> tuple[set[str], list[str]]:
     """Folders, and files that may be movies in natural order."""
-    folders = {entry.name for entry in listed if entry.is_dir()}
+    folders = {entry.name for entry in listed if is_folder(entry)}
     return folders, sorted((entry.name for entry in listed
                             if entry.name.lower().endswith(FILES) and entry.name not in folders),
                            key=lambda name: (natural_key(name), name))
+
+
+def is_folder(entry: os.DirEntry[str]) -> bool:
+    """Tell whether an entry is a folder, or leads to one; a loop of links leads nowhere."""
+    try:
+        return entry.is_dir()
+    except OSError:
+        return False
 
 
 def _has_layout(folder: Path, folders: set[str]) -> bool:

@@ -35,7 +35,7 @@ def answer(content: Any, status: int = 200, **headers: str) -> Response:
 
 
 def refusal(error: Exception) -> Response:
-    """Answer with an error: a refusal, or one of our own errors; raises any other again."""
+    """Answer with an error: a refusal, one of our own errors, or a fault of the program."""
     if isinstance(error, Refused):
         return answer({"error": {"kind": error.kind, "message": str(error)}, **error.more}, error.status)
     if isinstance(error, MicrobundleError):
@@ -44,7 +44,8 @@ def refusal(error: Exception) -> Response:
         kind = "DiskFull" if error.errno == errno.ENOSPC else "OSError"
         where = f"{error.filename}: " if error.filename else ""
         return answer({"error": {"kind": kind, "message": f"{where}{error.strerror or error}"}}, FULL)
-    raise error
+    return answer({"error": {"kind": type(error).__name__, "message":
+                             f"the program failed: {error}; please report this"}}, 500)
 
 
 def status_of(error: MicrobundleError) -> int:

@@ -46,15 +46,18 @@ def make_app(desk: Desk, *, token: str, port: int, most_upload: int = MOST_UPLOA
 
     routes = [*PAGES, Mount("/api", routes=[*RUN_ROUTES, *MOVIE_ROUTES, *REVIEW_ROUTES])]
     app = Starlette(routes=routes, lifespan=lifespan, exception_handlers={
-        Refused: _refused, MicrobundleError: _refused, OSError: _refused, 404: _nowhere, 405: _nowhere})
+        Refused: _refused, MicrobundleError: _refused, OSError: _refused, Exception: _refused,
+        404: _nowhere, 405: _nowhere})
     app.state.desk = desk
     return Guard(app, token=token, port=port, most_upload=most_upload)
 
 
 async def _refused(request: Request, error: Exception) -> Response:
-    if pages.wants_page(request):
-        return pages.refused_page(error if isinstance(error, Refused) else Refused(422, "", str(error)))
-    return refusal(error)
+    told = refusal(error)
+    if not pages.wants_page(request):
+        return told
+    title = {404: "Not there", 500: "The program failed"}.get(told.status_code, "Not possible")
+    return pages.error_page(told.status_code, title, str(error))
 
 
 async def _nowhere(request: Request, _: Exception) -> Response:

@@ -14,7 +14,11 @@ from .answers import Refused
 MOST = 2000
 PERSON = "you"
 HAND_PX = 1.0
-"""What a careful hand misses by, in pixels of the picture: the smallest difference that says anything."""
+"""What a careful hand misses by, in pixels of the picture."""
+HAND_SHARE = 0.15
+"""What it misses by in large movements, as a share of them: spots change their looks on the way."""
+TELLING = 2.0
+"""Movements that are not so many times larger than what a hand misses by say nothing."""
 
 
 def agreement(analysis: Analysis, points: Any) -> dict[str, Any]:
@@ -39,16 +43,20 @@ def agreement(analysis: Analysis, points: Any) -> dict[str, Any]:
     if known.sum() >= 3:
         whole = compare_clicks(analysis, clicks)[-1]
         r2 = {"row": whole.r2_row, "col": whole.r2_col}
-    allowed = max(HAND_PX, 0.15 * moved)
+    allowed = max(HAND_PX, HAND_SHARE * moved)
+    agrees = None if moved < TELLING * HAND_PX and overall <= allowed else overall <= allowed
     return {"points": each, "difference_px": overall, "difference_um": _scaled(overall, scale), "largest_px": moved,
-            "r2": r2, "agrees": bool(overall <= allowed), "verdict": _sentence(overall, moved, allowed, scale)}
+            "r2": r2, "agrees": agrees, "verdict": _sentence(agrees, overall, moved, allowed, scale)}
 
 
-def _sentence(overall: float, moved: float, allowed: float, scale: float | None) -> str:
+def _sentence(agrees: bool | None, overall: float, moved: float, allowed: float, scale: float | None) -> str:
     unit, by = ("µm", scale) if scale is not None else ("px", 1.0)
     told = (f"Your clicks and the measurement differ by {overall * by:.2g} {unit} on average, where the largest "
             f"movement that you clicked is {moved * by:.2g} {unit}.")
-    if overall <= allowed:
+    if agrees is None:
+        return (f"{told} Such small movements cannot be judged by hand, which misses by about {allowed * by:.2g} "
+                f"{unit}: click spots that move more, at rest and at the peak of a beat.")
+    if agrees:
         return f"{told} That is within what a hand can do ({allowed * by:.2g} {unit}): they agree."
     return (f"{told} That is more than a hand misses by ({allowed * by:.2g} {unit}). Look at the masks and the "
             "findings, or click again on spots that can be recognised well.")

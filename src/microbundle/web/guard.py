@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 from secrets import compare_digest
-from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -18,7 +17,7 @@ from starlette.requests import cookie_parser
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from .answers import Refused, answer, refusal
+from .answers import Refused, refusal
 
 NAMES = ("127.0.0.1", "localhost", "[::1]")
 SAFE = ("GET", "HEAD")
@@ -55,15 +54,17 @@ class Guard:
         if scope["type"] != "http":
             await send({"type": "websocket.close", "code": 1008})
             return
-        begun = False
+        begun = complete = False
 
         async def sending(message: Message) -> None:
-            nonlocal begun
+            nonlocal begun, complete
             if message["type"] == "http.response.start":
                 begun = True
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     headers.setdefault(name, value)
+            elif message["type"] == "http.response.body":
+                complete = not message.get("more_body", False)
             await send(message)
 
         try:
@@ -73,11 +74,12 @@ class Guard:
             else:
                 await self.app(scope, self._counted(scope, receive), sending)
         except Exception as error:
-            if begun:  # nothing can be said any more; the connection breaks off
-                if not isinstance(error, Refused):
-                    log.exception("%s %s", scope["method"], scope["path"])
+            if not isinstance(error, Refused):
+                log.exception("%s %s", scope["method"], scope["path"])
+            if begun and not complete:  # nothing can be said any more; the connection breaks off
                 raise
-            await _told(scope, error)(scope, receive, sending)
+            if not begun:
+                await _told(scope, error)(scope, receive, sending)
 
     def _early(self, scope: Scope) -> Response | None:
         """Check who asks; gives the answer to the first visit, and raises Refused for anyone else."""
@@ -144,12 +146,6 @@ def _too_large(most: int) -> Refused:
 
 def _told(scope: Scope, error: Exception) -> Response:
     """Answer a request that was refused, or failed."""
-    try:
-        out: Any = refusal(error)
-    except Exception:
-        log.exception("%s %s", scope["method"], scope["path"])
-        out = answer({"error": {"kind": type(error).__name__, "message":
-                                f"the program failed: {error}; please report this"}}, 500)
     if isinstance(error, Refused) and not scope["path"].startswith("/api/"):
         return PlainTextResponse(str(error), error.status)
-    return out  # type: ignore[no-any-return]
+    return refusal(error)

@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
 from ..report.page import asset
-from .answers import Refused, not_there
+from .answers import not_there
 from .desk import Desk
 
 if TYPE_CHECKING:
@@ -119,7 +119,3 @@ def wants_page(request: Request) -> bool:
     """Tell whether a person is to read the answer."""
     return not request.url.path.startswith(("/api/", "/assets/")) and "text/html" in request.headers.get("accept", "")
 
-
-def refused_page(error: Refused) -> Response:
-    """Make the page of a refusal."""
-    return error_page(error.status, "Not there" if error.status == 404 else "Not possible", str(error))

@@ -15,7 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from ..batch.find import FILES, kind_of
+from ..batch.find import FILES, is_folder, kind_of
 from ..batch.manifest import MOVIE
 from ..batch.plan import MANIFESTS
 from ..errors import ConfigError
@@ -129,7 +129,7 @@ class Places:
         with os.scandir(folder) as listed:
             seen = [entry for entry in islice(listed, 20 * MOST_ENTRIES)
                     if not entry.name.startswith(".") and _writable(entry.name)]
-        seen = [entry for entry in seen if entry.is_dir() or entry.name.lower().endswith((*FILES, *MANIFESTS))]
+        seen = [entry for entry in seen if is_folder(entry) or entry.name.lower().endswith((*FILES, *MANIFESTS))]
         seen.sort(key=lambda entry: (natural_key(entry.name), entry.name))
         out = []
         for entry in seen[:MOST_ENTRIES]:

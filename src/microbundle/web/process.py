@@ -90,15 +90,18 @@ def ending(home: Home, record: Record, code: int | None, completed: bool) -> End
 
 
 def last_words(log: Path, start: int) -> str:
-    """Read the error that a process told last; nothing where it told none."""
+    """Read the error that a process told last, or how it broke down; nothing where it told nothing."""
     try:
         with log.open("rb") as stream:
             stream.seek(max(start, log.stat().st_size - 20_000))
             text = stream.read().decode(errors="replace")
     except OSError:
         return ""
-    at = text.rfind("\n" + ERROR) + 1 if not text.startswith(ERROR) or "\n" + ERROR in text else 0
-    return text[at:].removeprefix(ERROR).strip() if text[at:].startswith(ERROR) else ""
+    _, found, said = f"\n{text}".rpartition(f"\n{ERROR}")
+    if found:
+        return said.strip()
+    lines = text.strip().splitlines()
+    return f"the program failed: {lines[-1].strip()}; please report this, with the file {log.name}" if lines else ""
 
 
 def _named(code: int) -> str:
