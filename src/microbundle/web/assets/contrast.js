@@ -2,7 +2,7 @@
 
 import { get } from "./api.js";
 import { draw, make } from "./shared.js";
-import { button, soon } from "./page.js";
+import { button, soon, trouble } from "./page.js";
 
 const STEPS = 500;
 
@@ -10,13 +10,13 @@ export class Contrast {
   constructor(base, changed) {
     this.changed = soon(60, changed);
     this.shape = draw("path");
-    this.sliders = ["Darkest", "Brightest"].map((name) => make("input", { type: "range", min: 0, max: STEPS, "aria-label": `${name} shown` }));
+    this.sliders = ["Darkest", "Brightest"].map((name) => make("input", { type: "range", min: 0, max: STEPS, disabled: true, "aria-label": `${name} shown` }));
     this.told = make("output");
     this.root = make("details", { class: "contrast" }, make("summary", {}, "Contrast"), make("div", { class: "histogram" },
       draw("svg", { viewBox: "0 0 100 30", preserveAspectRatio: "none", "aria-hidden": "true" }, this.shape), ...this.sliders),
     make("p", { class: "choices" }, button("By itself", () => this.reset()), this.told),
     make("p", { class: "note" }, "Changes only what you see. Measured are always the movie’s own grey values."));
-    this.root.addEventListener("toggle", () => { if (this.root.open && !this.grey) this.start(base); });
+    this.root.addEventListener("toggle", () => { if (this.root.open && !this.grey) this.start(base).catch(trouble); });
     for (const slider of this.sliders) slider.addEventListener("input", () => this.move(slider));
   }
 
@@ -30,6 +30,7 @@ export class Contrast {
 
   show(limits) {
     const { min, max } = this.grey;
+    for (const slider of this.sliders) slider.disabled = false;
     this.sliders.forEach((slider, i) => { slider.value = (limits[i] - min) / (max - min || 1) * STEPS; });
     this.tell(limits);
   }
@@ -40,7 +41,6 @@ export class Contrast {
   }
 
   move(slider) {
-    if (!this.grey) return;
     const { min, max } = this.grey, [low, high] = this.sliders;
     if (Number(low.value) >= Number(high.value)) slider.value = slider === low ? Number(high.value) - 1 : Number(low.value) + 1;
     const limits = this.sliders.map((one) => min + Number(one.value) / STEPS * (max - min));

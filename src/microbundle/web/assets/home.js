@@ -31,7 +31,8 @@ try {
   showRuns(byId("runs"), runs);
   byId("first").hidden = !app.example || runs.length > 0;
   const { entries } = await browser.go("");
-  if (entries.length === 1) await browser.go(entries[0].at);
+  const own = entries.filter((one) => !["uploads", "example"].includes(one.at));
+  if (own.length === 1) await browser.go(own[0].at);
 } catch (error) {
   trouble(error);
 }

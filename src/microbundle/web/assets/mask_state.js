@@ -2,7 +2,7 @@
 // A state is {method, frame, tissue, pillars, axis_deg, extents_px, tiles}: masks as lengths of runs, null for what the
 // program finds by itself; `pillars` is null or an object by name, empty for none.
 
-import { fileOf, picture } from "./api.js";
+import { picture } from "./api.js";
 import { Raster } from "./raster.js";
 
 export const AUTOMATIC = { method: "auto", frame: 0, tissue: null, pillars: null, axis_deg: null, extents_px: null, tiles: null };
@@ -12,7 +12,7 @@ export async function stateOf(movie) {
   const state = { ...AUTOMATIC }, { rows, cols } = movie.info;
   for (const one of movie.decisions) {
     if (one.kind === "use_mask") {
-      const png = await picture(fileOf(movie.run, `results/${one.file}`)), { runs } = await Raster.fromPng(png, rows, cols);
+      const png = await picture(`${movie.base}/masks/${one.name}`), { runs } = await Raster.fromPng(png, rows, cols);
       if (one.name === "tissue") state.tissue = runs;
       else state.pillars = { ...state.pillars, [one.name]: runs };
     } else if (one.kind === "settings") {

@@ -43,8 +43,8 @@ class Editor {
     this.build(panel);
     this.soon = soon(120, () => this.preview());
     if (draft) say("Your unsaved changes are back.");
-    panel.addEventListener("keydown", (event) => {
-      if (!(event.ctrlKey || event.metaKey) || !["z", "y", "Z"].includes(event.key) || /^(INPUT|TEXTAREA)$/.test(event.target.tagName)) return;
+    document.addEventListener("keydown", (event) => {
+      if (panel.hidden || !(event.ctrlKey || event.metaKey) || !["z", "y", "Z"].includes(event.key) || /^(INPUT|TEXTAREA)$/.test(event.target.tagName)) return;
       event.preventDefault();
       if (event.key === "y" || event.shiftKey) this.history.redo();
       else this.history.undo();
@@ -72,8 +72,11 @@ class Editor {
     this.brush = make("input", { type: "range", min: 1, max: 60, value: this.brushPx });
     this.brush.addEventListener("input", () => { this.brushPx = Number(this.brush.value); });
     this.brushLabel = make("label", { hidden: true }, "Brush ", this.brush);
-    this.undo = button("Undo", () => this.history.undo());
-    this.redo = button("Redo", () => this.history.redo());
+    [this.undo, this.redo] = ["undo", "redo"].map((way) => {
+      const pressed = make("button", { type: "button" }, way === "undo" ? "Undo" : "Redo");
+      pressed.addEventListener("click", () => this.history[way]());
+      return pressed;
+    });
     this.hint = make("p", { class: "note", id: "mask-hint" });
     const left = make("div");
     this.verdict = make("p", { class: "verdict" });
@@ -216,8 +219,8 @@ class Editor {
   tint(raster) { raster.paint(this.viewer.tint, TINTS[this.target === "tissue" ? "tissue" : "pillar"]); }
 
   show() {
-    this.undo.disabled = !this.history.canUndo;
-    this.redo.disabled = !this.history.canRedo;
+    this.undo.setAttribute("aria-disabled", !this.history.canUndo);
+    this.redo.setAttribute("aria-disabled", !this.history.canRedo);
     this.showSaved();
     const { answer } = this;
     if (!answer) return;

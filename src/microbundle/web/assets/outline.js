@@ -64,7 +64,7 @@ export class OutlineTool {
   // Follows the mask, but keeps its own corners of a mask that it made itself.
   render() {
     const mask = this.editor.mask(), fresh = this.made !== mask;
-    if (fresh && this.dragging) return;
+    if (this.dragging) return;
     if (fresh) {
       this.rings = this.editor.polygons().filter((ring) => area(ring) >= LEAST_AREA).map((ring) => simplified(ring));
       this.made = mask;
@@ -173,7 +173,9 @@ export class OutlineTool {
 
   commit() {
     const { rows, cols } = this.editor.viewer.info;
+    this.dragging = true;
     this.made = this.editor.setMask(Raster.fromRings(this.rings, rows, cols));
+    this.dragging = false;
     this.paint();
   }
 }

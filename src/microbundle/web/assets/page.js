@@ -35,19 +35,17 @@ export function calm(kind) {
 
 export const connection = (message) => (message ? trouble(message, "connection") : (calm("connection"), calm("Unreachable")));
 
-// Runs what a button asks for; the button waits meanwhile, and what goes wrong is told.
+// Runs what a button asks for; the button waits meanwhile, keeping the focus, and what goes wrong is told.
 export async function does(button, action) {
-  button.setAttribute("aria-disabled", "true");
-  button.disabled = true;
+  if (button.getAttribute("aria-busy") === "true") return;
+  button.setAttribute("aria-busy", "true");
   calm();
   try {
-    return await action();
+    await action();
   } catch (error) {
     trouble(error);
-    return undefined;
   } finally {
-    button.removeAttribute("aria-disabled");
-    button.disabled = false;
+    button.removeAttribute("aria-busy");
   }
 }
 

@@ -2,13 +2,13 @@
 
 import { fileOf, follow, get, ofRun, pageOf, post, send } from "./api.js";
 import { Plates } from "./plate.js";
-import { SettingsForm, changed } from "./settings.js";
+import { Keeper, SettingsForm, toSetting } from "./settings.js";
 import { Table } from "./table.js";
 import { byId, make, withError } from "./shared.js";
-import { badge, bytes, connection, counted, does, duration, madeBadge, moment, onClick, say, soon, trouble } from "./page.js";
+import { badge, bytes, connection, counted, does, duration, madeBadge, moment, onClick, say, trouble } from "./page.js";
 
 const id = byId("main").dataset.run;
-const picked = new Set();
+const picked = new Set(), keeper = new Keeper(id, () => run, heard);
 let run = null, movies = new Map(), table = null, plates = null, settings = null, platesOf = "", filesOf = "";
 
 // --- what is heard ----------------------------------------------------------------------------------------------------
@@ -97,18 +97,10 @@ function renderNext() {
 
 function question(key, label, unit) {
   const input = make("input", { type: "number", min: 0, step: "any", inputmode: "decimal", value: run.settings?.[key] ?? "" });
-  const keep = soon(300, async () => {
-    try {
-      heard(await send("PATCH", ofRun(id), { settings: changed(run.settings ?? {}, key, input.value === "" ? null : Number(input.value)) }));
-      input.removeAttribute("aria-invalid");
-    } catch (error) {
-      input.setAttribute("aria-invalid", "true");
-      trouble(error);
-    }
-  });
-  input.addEventListener("input", keep);
+  const wrong = make("span", { class: "wrong", role: "alert" }), keep = keeper.typed({ input, wrong });
+  input.addEventListener("input", () => keep(toSetting(key, input.value === "" ? null : Number(input.value))));
   return make("label", {}, make("span", {}, `${label} `, make("span", { class: "unit" }, unit)), input,
-    make("span", { class: "note" }, `${counted(run.missing[key], "movie")} without`));
+    make("span", { class: "note" }, `${counted(run.missing[key], "movie")} without`), wrong);
 }
 
 // --- movies -------------------------------------------------------------------------------------------------------------
@@ -120,7 +112,7 @@ function columns() {
       cell: (movie) => make("a", { href: pageOf(id, movie.key) }, movie.movie) },
     { id: "pick", label: "Chosen to compare", look: "pick", cell: pick },
     ...(run.columns ?? []).map((name) => ({ id: `column ${name}`, label: name, words: true, value: (movie) => movie.columns?.[name] ?? null })),
-    { id: "state", label: "State", words: true, value: (movie) => movie.verdict ?? movie.state, cell: state },
+    { id: "state", label: "State", words: true, value: (movie) => movie.verdict || movie.state, cell: state },
     { id: "beats", label: "Beats", value: (movie) => movie.beats ?? null },
     ...metrics.map((one) => ({ id: one.column, label: one.label, unit: one.unit, tip: one.tip,
       value: (movie) => movie.metrics?.[one.column] ?? null,
@@ -199,6 +191,7 @@ async function showFiles() {
 // --- what is pressed ----------------------------------------------------------------------------------------------------
 
 onClick(byId("go"), async () => {
+  await keeper.last;
   await post(`${ofRun(id)}/start`);
   heard(await get(ofRun(id)));
 });
@@ -238,7 +231,7 @@ byId("zip").setAttribute("download", "");
 
 try {
   heard(await get(ofRun(id)));
-  settings = new SettingsForm(byId("settings"), id, () => run, heard);
+  settings = new SettingsForm(byId("settings"), keeper);
   await settings.start();
   settings.show(byId("ask").dataset.for.split(","));
   if (location.hash === "#plate") await view(true);

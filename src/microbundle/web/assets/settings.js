@@ -27,11 +27,46 @@ const written = (value) => (value === null || value === undefined ? "" : Array.i
 
 const hint = ({ key, default: standard }) => (CALIBRATION.includes(key) ? "from the file" : written(standard) || "not given");
 
-export class SettingsForm {
+// Sends one change after the other, each made of the run as it is by then, so that none undoes another.
+export class Keeper {
   // `now()` gives the run as it is known; `heard` is called with the run after a change.
-  constructor(host, run, now, heard) {
-    Object.assign(this, { host, run, now, heard, fields: new Map() });
-    this.keep = soon(350, (change, field) => this.send(change, field));
+  constructor(run, now, heard) {
+    Object.assign(this, { run, now, heard, last: Promise.resolve() });
+  }
+
+  // `change(run)` gives what is to be sent; `field` has the input and where to say what is wrong with it.
+  send(field, change) {
+    this.last = this.last.then(async () => {
+      try {
+        const run = await send("PATCH", ofRun(this.run), change(this.now()));
+        tell(field, "");
+        say("Kept.");
+        this.heard(run);
+      } catch (error) {
+        if (error.status === 422) tell(field, error.message);
+        else trouble(error);
+      }
+    });
+    return this.last;
+  }
+
+  // Waits until a person has typed all of it.
+  typed(field) {
+    return soon(350, (change) => this.send(field, change));
+  }
+}
+
+export const toSetting = (key, value) => (run) => ({ settings: changed(run.settings ?? {}, key, value) });
+
+function tell({ input, wrong }, message) {
+  wrong.textContent = message;
+  if (message) input.setAttribute("aria-invalid", "true");
+  else input.removeAttribute("aria-invalid");
+}
+
+export class SettingsForm {
+  constructor(host, keeper) {
+    Object.assign(this, { host, keeper, fields: new Map() });
   }
 
   async start() {
@@ -65,14 +100,15 @@ export class SettingsForm {
     const wrong = make("p", { class: "wrong", role: "alert" }), set = make("span", { class: "set" });
     const entry = { ...one, input, wrong, set };
     this.fields.set(one.key, entry);
+    const keep = this.keeper.typed(entry);
     input.addEventListener(one.choices?.length || one.type === "boolean" ? "change" : "input", () => {
       const value = this.read(entry);
       if (value === undefined) {
-        this.told(entry, `Expected ${one.type === "integer" ? "a whole number" : one.type === "number" ? "a number"
+        tell(entry, `Expected ${one.type === "integer" ? "a whole number" : one.type === "number" ? "a number"
           : "numbers with commas between them"}.`);
         return;
       }
-      this.keep({ settings: changed(this.now().settings ?? {}, one.key, value) }, entry);
+      keep(toSetting(one.key, value));
     });
     const label = make("label", { for: id }, one.label, ...(one.unit ? [" ", make("span", { class: "unit" }, one.unit)] : []));
     return entry.host = make("div", { class: "field" }, one.type === "boolean" ? make("span", {}, input, label) : label,
@@ -98,8 +134,8 @@ export class SettingsForm {
     this.patternInput = make("input", { id: "set-pattern", type: "text", autocomplete: "off", placeholder: "{plate}_{well}", spellcheck: "false",
       "aria-describedby": "set-pattern-help" });
     this.patternWrong = make("p", { class: "wrong", role: "alert" });
-    const entry = { input: this.patternInput, wrong: this.patternWrong };
-    this.patternInput.addEventListener("input", () => this.keep({ pattern: this.patternInput.value.trim() || null }, entry));
+    const keep = this.keeper.typed({ input: this.patternInput, wrong: this.patternWrong });
+    this.patternInput.addEventListener("input", () => keep(() => ({ pattern: this.patternInput.value.trim() || null })));
     return make("div", { class: "field" }, make("label", { for: "set-pattern" }, "Names"), this.patternInput, this.patternWrong,
       make("p", { class: "help", id: "set-pattern-help" }, "How the names of the movies are built: {well} is like A1 or B12, {day} is a "
         + "number, any other part in {} becomes a column, and * is left out. / stands between folders."));
@@ -108,28 +144,10 @@ export class SettingsForm {
   flag(key, shown, label, help) {
     const input = make("input", { id: `set-${key}`, type: "checkbox", "aria-describedby": `set-${key}-help` });
     const wrong = make("p", { class: "wrong", role: "alert" });
-    input.addEventListener("change", () => this.send({ [key]: input.checked }, { input, wrong }));
+    input.addEventListener("change", () => this.keeper.send({ input, wrong }, () => ({ [key]: input.checked })));
     this.fields.set(`:${shown}`, { input, key: `:${shown}`, wrong });
     return make("div", { class: "field" }, make("span", {}, input, make("label", { for: `set-${key}` }, label)), wrong,
       make("p", { class: "help", id: `set-${key}-help` }, help));
-  }
-
-  told({ input, wrong }, message) {
-    wrong.textContent = message;
-    if (message) input.setAttribute("aria-invalid", "true");
-    else input.removeAttribute("aria-invalid");
-  }
-
-  async send(change, field) {
-    try {
-      const run = await send("PATCH", ofRun(this.run), change);
-      this.told(field, "");
-      say("Kept.");
-      this.heard(run);
-    } catch (error) {
-      if (error.status === 422) this.told(field, error.message);
-      else trouble(error);
-    }
   }
 
   // Shows the run's settings, but leaves alone what is being typed or is wrong, and hides what is asked for elsewhere.
@@ -138,7 +156,7 @@ export class SettingsForm {
       const { host } = this.fields.get(key) ?? {};
       if (host) host.hidden = asked.includes(key);
     }
-    const run = this.now(), busy = ["queued", "running"].includes(run.state);
+    const run = this.keeper.now(), busy = ["queued", "running", "preparing"].includes(run.state);
     const fill = (input, put) => {
       input.disabled = busy;
       if (document.activeElement !== input && !input.hasAttribute("aria-invalid")) put();

@@ -130,7 +130,7 @@ export class Viewer {
     this.slider.value = t;
     this.slider.setAttribute("aria-valuetext", this.when(t));
     this.told.textContent = this.when(t);
-    this.frames.want(t, this.playing === null ? [] : this.following(t));
+    if (this.width) this.frames.want(t, this.playing === null ? [] : this.following(t));
     if (this.frames.at(t)) this.paint(t);
   }
 
