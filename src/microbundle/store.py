@@ -6,9 +6,11 @@ units and descriptions as attributes.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
+import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -44,6 +46,8 @@ if TYPE_CHECKING:
 
 RESULT = "result.nc"
 KIND = "results"
+SPARE = 2**20
+"""Bytes that a result may take beside its arrays."""
 SCHEMA = 2
 """Version of the layout of the result file; raised when a reader of the old one would be misled."""
 RC = ("row", "col")
@@ -113,6 +117,8 @@ def save_netcdf(analysis: Analysis, file: Path, made: Mapping[str, pd.DataFrame]
     data = _with_errors(_to_dataset(analysis), analysis, made["strain"])
     packed = {name: {"zlib": True, "complevel": 1} for name, v in data.variables.items()
               if v.dtype.kind in "fiu" and v.size > 1000}
+    if shutil.disk_usage(file.parent).free < data.nbytes + SPARE:  # HDF5 may crash on a disk that becomes full
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(file))
     try:
         data.to_netcdf(file, engine="h5netcdf", encoding=packed)
         for name, table in made.items():

@@ -72,7 +72,8 @@ def serve(folders: list[Path], workspace: Path, *, port: int | None = None, brow
                       "that have begun go on without it", flush=True)
             if browser:
                 threading.Thread(target=_open_browser, args=(server, door), daemon=True).start()
-            server.run(sockets=[listening])
+            with suppress(KeyboardInterrupt):  # that is how an app is stopped
+                server.run(sockets=[listening])
     return 0
 
 
@@ -88,12 +89,6 @@ class Server(uvicorn.Server):
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         self.desk.stopping = True
         super().handle_exit(sig, frame)
-
-    @contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """Stop at Ctrl-C without a word: that is how an app is stopped."""
-        with suppress(KeyboardInterrupt), super().capture_signals():
-            yield
 
 
 def listen(port: int | None, kept: Door | None) -> socket.socket:
