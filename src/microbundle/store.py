@@ -12,7 +12,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,9 @@ from .analysis import Analysis
 from .config import Config
 from .data import (
     Beats,
+    Bools,
     Finding,
+    Floats,
     Grid,
     Markers,
     Masks,
@@ -102,6 +104,36 @@ def load(path: Path | str) -> Analysis:
             return _from_dataset(data.load())
     except ResultUnreadable:
         raise
+    except Exception as error:  # HDF5 raises many kinds on damaged files
+        raise ResultUnreadable(f"{file}: the result cannot be read: {error}") from None
+
+
+@dataclass(frozen=True)
+class Glance:
+    """What a result says at a glance."""
+
+    frame_count: int
+    beat_count: int
+    time_s: Floats | None
+    """(T,), or None where the frame times are unknown."""
+    tissue: Bools
+    """(R, C)"""
+    pillars: tuple[Bools, ...]
+    findings: tuple[Finding, ...]
+
+
+def glance(path: Path | str) -> Glance:
+    """Read masks, times and findings of a result, in some milliseconds. Raises ResultUnreadable where it is not one."""
+    import h5netcdf
+
+    file = Path(path).expanduser() / RESULT
+    try:
+        with h5netcdf.File(file, "r") as data:
+            pillars = data["pillar_mask"][...] > 0 if "pillar_mask" in data.variables else ()
+            return Glance(data.dimensions["frame"].size, data.dimensions["beat"].size,
+                          data["time"][...] if "time" in data.variables else None, data["tissue"][...] > 0,
+                          tuple(pillars), tuple(Finding(**one) for listed in json.loads(data.attrs["findings"]).values()
+                                                for one in listed))
     except Exception as error:  # HDF5 raises many kinds on damaged files
         raise ResultUnreadable(f"{file}: the result cannot be read: {error}") from None
 

@@ -171,7 +171,7 @@ def serve() -> Iterator[Callable[..., Server]]:
             server.stop(signal.SIGKILL)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def measured(movies: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[TestClient, str]]:
     """An app whose run over the movies is done, and the run."""
     workspace = tmp_path_factory.mktemp("measured")

@@ -5,6 +5,7 @@ The file, and what it means, are those of `microbundle.decisions`; the command l
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from threading import Lock
@@ -42,8 +43,8 @@ def write(result: Path, listed: Any, masks: Mapping[str, Bools], version: str | 
         raise Refused(400, "BadRequest", f"decisions: expected a list of at most {MOST}")
     home = sidecar_of(result).parent
     for one in listed:
-        if one.get("kind") == "use_mask" and Path(str(one.get("file", ""))).name != str(one.get("file", "")):
-            raise Refused(400, "BadRequest", "file: expected the name of a mask beside the decisions, not a path")
+        if one.get("kind") == "use_mask" and one.get("file") and not _is_ours(result, home, one["file"]):
+            raise Refused(400, "BadRequest", "file: expected the name of a mask that was kept for this movie")
     unkept = {one.get("name") for one in listed if one.get("kind") == "use_mask" and not one.get("file")}
     if not unkept <= set(masks):
         raise Refused(400, "BadRequest", "masks: expected a picture for each mask that is to be used")
@@ -60,6 +61,12 @@ def write(result: Path, listed: Any, masks: Mapping[str, Bools], version: str | 
                  for one in listed]
         write_decisions(result, Decisions.from_list(named, home=home))
         return read(result)
+
+
+def _is_ours(result: Path, home: Path, file: Any) -> bool:
+    """Tell whether a name is that of a mask beside the decisions on a result, and no path to anywhere else."""
+    return (isinstance(file, str) and re.fullmatch(rf"{re.escape(result.name)}\.[a-z0-9_-]+\.[a-z]+", file) is not None
+            and (home / file).is_file() and not (home / file).is_symlink())
 
 
 def add(result: Path, one: dict[str, Any]) -> None:

@@ -203,7 +203,9 @@ def address(mask: Bools) -> str:
 
 
 def _of_kind(asked: dict[str, Any], name: str) -> dict[str, Any]:
-    value = asked.get(name) or {}
+    value = asked.get(name)
+    if value is None:
+        return {}
     if not isinstance(value, dict):
         raise Refused(400, "BadRequest", f"{name}: expected an object")
     return value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import mimetypes
 import re
 from collections import OrderedDict
@@ -18,11 +17,12 @@ from ..batch.collect import INDEX, MOVIES, PLATE
 from ..batch.plan import Task
 from ..batch.state import RESULTS
 from ..data import Finding
-from ..errors import OutputError
+from ..errors import OutputError, ResultUnreadable
 from ..metrics import tables
 from ..report import NAME
+from ..report.page import data_of
 from ..report.traces import page_data
-from ..store import RESULT, load
+from ..store import RESULT, glance, load
 from .answers import Refused, not_there
 from .records import Home
 
@@ -65,14 +65,17 @@ class Results:
         return analysis
 
     def traces(self, result: Path) -> dict[str, Any]:
-        """What the report draws of a result, but for its maps."""
+        """What the report draws of a result, but for its maps: from the report, or anew where there is none."""
         key = _stamp(result)
         with self._lock:
             if key in self._traces:
                 return self._traces[key]
-        analysis = self.load(result)
-        data = page_data(analysis, tables(analysis))
-        data.pop("map")
+        try:
+            data = data_of((result / NAME).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            analysis = self.load(result)
+            data = page_data(analysis, tables(analysis))
+        data.pop("map", None)
         with self._lock:
             self._traces[key] = data
             while len(self._traces) > 4 * self.MOST:
@@ -101,14 +104,12 @@ def report_page(result: Path) -> Response:
 
 def findings_of(result: Path) -> list[dict[str, Any]]:
     """Read what was found of a movie, without reading the whole result; nothing where there is none."""
-    import h5netcdf
-
-    try:
-        with h5netcdf.File(result / RESULT, "r") as file:
-            listed = json.loads(file.attrs["findings"])
-    except (OSError, KeyError, ValueError):
+    if not (result / RESULT).is_file():
         return []
-    return [told(Finding(**one)) for part in listed.values() for one in part]
+    try:
+        return [told(finding) for finding in glance(result).findings]
+    except ResultUnreadable as error:
+        return [told(Finding("result_unreadable", "fail", str(error)))]
 
 
 def told(finding: Finding) -> dict[str, Any]:

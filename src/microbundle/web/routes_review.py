@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
+from ..store import glance
 from .answers import Refused, answer, body_of, text_in
 from .desk import Desk
 from .masks import polygons
@@ -44,18 +46,16 @@ async def case(request: Request) -> Response:
 def _told(desk: Desk, one: Case) -> dict[str, Any]:
     home = desk.runs.home(one.run)
     task = desk.views.task(one.run, one.key)
-    analysis = desk.results.load(result_of(home, one.key))
+    found = glance(result_of(home, one.key))
     row = desk.views.movie(desk.runs.get(one.run), home, task)
-    rows, cols = analysis.image.shape[:2]
-    outer, holes = polygons(analysis.masks.tissue)
-    pillars = () if analysis.pillars is None else analysis.pillars.pillars.masks
+    rows, cols = found.tissue.shape
+    outer, holes = polygons(found.tissue)
     return {
-        "info": {"frames": analysis.frame_count, "rows": rows, "cols": cols,
-                 "frames_per_s": None if analysis.time_s is None or len(analysis.time_s) < 2 else
-                 (len(analysis.time_s) - 1) / float(analysis.time_s[-1] - analysis.time_s[0])},
+        "info": {"frames": found.frame_count, "rows": rows, "cols": cols,
+                 "frames_per_s": None if found.time_s is None else float(1 / np.median(np.diff(found.time_s)))},
         "outlines": {"tissue": outer, "holes": holes,
-                     "pillars": [line for mask in pillars for line in polygons(mask)[0]]},
-        "beats": len(analysis.beats),
+                     "pillars": [line for mask in found.pillars for line in polygons(mask)[0]]},
+        "beats": found.beat_count,
         "numbers": [{"label": term.name, "value": row["metrics"][term.column], "se": row["se"].get(term.column),
                      "unit": term.unit} for term in shown_terms(row["metrics"])]}
 

@@ -3,7 +3,7 @@
 import { get } from "./api.js";
 import { Chart, State, make, nearest } from "./shared.js";
 import { Viewer } from "./viewer.js";
-import { button, does, drafts, say, trouble } from "./page.js";
+import { button, drafts, say, trouble } from "./page.js";
 
 export async function startBeats(panel, movie) {
   const editor = new Beats(panel, movie);
@@ -107,7 +107,7 @@ class Beats {
       const name = `Beat ${i + 1}`, box = make("input", { type: "checkbox", "aria-label": `${name} counts` });
       box.checked = !beat.left_out;
       box.dataset.beat = beat.start;
-      box.addEventListener("change", () => does(box, () => this.count(beat, box.checked)));
+      box.addEventListener("change", () => this.count(beat, box.checked));
       const go = button(name, () => this.movie.frame.set({ frame: beat.peak }), { class: "link" });
       return make("tr", {}, make("th", { scope: "row" }, go, beat.by_hand ? " by hand" : beat.complete ? "" : " cut off"), make("td", {}, beat.start),
         make("td", {}, beat.peak), make("td", {}, beat.stop), make("td", {}, beat.by_hand

@@ -29,7 +29,14 @@ class Movie {
   }
 
   // `edit` makes the new list of an older one, so that it can be made once more where another window was faster.
-  async save(edit, masks = {}) {
+  // One is kept after the other.
+  save(edit, masks = {}) {
+    const kept = (this.saving ?? Promise.resolve()).then(() => this.keep(edit, masks));
+    this.saving = kept.catch(() => {});
+    return kept;
+  }
+
+  async keep(edit, masks) {
     const put = () => send("PUT", `${this.base}/decisions`, { decisions: edit(this.decisions), masks, version: this.version });
     let kept;
     try {
