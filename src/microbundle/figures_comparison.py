@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from .style import (
     FAINT,
     GREEN,
     INK,
+    MM_PER_INCH,
     ONE_COLUMN_MM,
     ORANGE,
     PINK,
@@ -47,14 +49,16 @@ if TYPE_CHECKING:
     from .statistics.dose import Response
     from .statistics.wells import Well
 
-LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM, GAP_MM = 13.0, 2.0, 4.5, 9.0, 3.0
+LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM, GAP_MM = 17.0, 2.0, 4.5, 9.0, 3.0
+LABEL_MM = 9.5
+"""From the axes to the names of their vertical axis."""
 WELLS_MM, DIFFERENCE_MM, CURVE_MM, LINE_MM = 34.0, 16.0, 40.0, 3.0
 MOST_GROUP_MM = 20.0
 COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p")
 MOST_NAMED = 10
 """Plates up to which a legend names them."""
-LETTERS_ACROSS = 9
+LETTERS_ACROSS, LETTERS_WIDE = 9, 70
 DOSE_UNITS = {"nm": "nM", "um": "µM", "mm": "mM", "pm": "pM", "m": "M"}
 Place = tuple[str, str]
 
@@ -101,17 +105,17 @@ def groups(comparison: Comparison, metric: str, phase: str = "") -> Figure:
     table = comparison.tables["comparison"]
     rows = table[(table["metric"] == metric) & (table["phase"] == phase)].set_index("group")
     names = run.groups
-    figure, top, below = _two_panels(len(names), _plates(comparison))
+    figure, top, below = _two_panels(names, _plates(comparison), phase)
     for x, group in enumerate(names):
         mine = [well for well in wells if well.group == group]
         values = np.array([well.values[metric] for well in mine])
         for well, value, aside in zip(mine, values, spread(values), strict=True):
             _point(top, x + aside, value, _plates(comparison), well)
-        if len(values):
+        if len(values) > 1:
             top.plot([x - 0.3, x + 0.3], [values.mean()] * 2, color=INK, lw=1.4, zorder=4)
         if group != comparison.control:
             _interval(below, x, rows.loc[group], "difference")
-    _finish(figure, top, below, names, metric, f"Difference\nfrom {_short(comparison.control)}", phase)
+    _finish(top, below, metric, f"Difference\nfrom {_short(comparison.control)}")
     _name_plates(top, _plates(comparison))
     return figure
 
@@ -122,7 +126,8 @@ def paired(comparison: Comparison, metric: str) -> Figure:
     rows = table[table["metric"] == metric].set_index("group")
     names = run.groups or ("",)
     known = [(a, b) for a, b in pairs(run) if metric in a.values and metric in b.values]
-    figure, top, below = _two_panels(len(names), _plates(comparison))
+    first, second = run.columns.phases
+    figure, top, below = _two_panels(names, _plates(comparison), f"{first} (left), {second} (right)")
     for x, group in enumerate(names):
         mine = [(a, b) for a, b in known if a.group == group]
         both = np.array([[well.values[metric] for well in pair] for pair in mine]).reshape(-1, 2)
@@ -133,8 +138,7 @@ def paired(comparison: Comparison, metric: str) -> Figure:
         if len(both):
             top.plot([x - 0.22, x + 0.22], both.mean(axis=0), color=INK, lw=1.6, zorder=4)
         _interval(below, x, rows.loc[group], "change")
-    first, second = run.columns.phases
-    _finish(figure, top, below, names, metric, "Change", f"{first} (left), {second} (right)")
+    _finish(top, below, metric, "Change")
     _name_plates(top, _plates(comparison))
     return figure
 
@@ -165,15 +169,15 @@ def dose_response(comparison: Comparison, response: Response) -> Figure:
     unit = comparison.run.columns.dose_unit
     unit = DOSE_UNITS.get(unit.casefold(), unit)
     axes.set_xlabel(f"Dose of {response.compound or 'the compound'}{f' ({unit})' if unit else ''}")
-    axes.set_ylabel(axis_label(metric), multialignment="center")
-    axes.yaxis.set_major_locator(nice_ticks(5))
+    _name_axis(axes, axis_label(metric), 5)
     if 0 in doses:
         _mark_zero(axes, zero, positive)
     if curve.reason:
         told = f"EC50 not estimable: {curve.reason}"
     else:
         told = "EC50 {:.3g} ({:.3g} to {:.3g})".format(*curve.ec50) + (f" {unit}" if unit else "")
-    figure.text(0.8 / ONE_COLUMN_MM, 1 - 1.0 / high, told, va="top", fontsize=SMALL_POINTS if curve.reason else POINTS)
+    figure.text(LEFT_MM / ONE_COLUMN_MM, 1 - 1.0 / high, fill(told, LETTERS_WIDE), va="top",
+                fontsize=SMALL_POINTS if curve.reason else POINTS)
     _name_plates(axes, plates)
     return figure
 
@@ -215,19 +219,27 @@ def _plates(comparison: Comparison) -> dict[Place, int]:
     return {name: i for i, name in enumerate(dict.fromkeys((w.day, w.plate) for w in comparison.run.wells))}
 
 
-def _two_panels(count: int, plates: dict[Place, int]) -> tuple[Figure, Axes, Axes]:
-    """Axes for the wells of so many groups, and below them for differences."""
+def _two_panels(names: Sequence[str], plates: dict[Place, int], title: str) -> tuple[Figure, Axes, Axes]:
+    """Axes for the wells of groups of such names, and below them for differences."""
+    count, long = len(names), max(len(name) for name in names) > LETTERS_ACROSS
     wide = min(count * MOST_GROUP_MM, ONE_COLUMN_MM - LEFT_MM - RIGHT_MM)
     legend = LINE_MM * (1 + (len(plates) - 1) // 5) if 1 < len(plates) <= MOST_NAMED else 0.0
+    above = (TOP_MM if title else 1.5) + legend
+    high = above + WELLS_MM + GAP_MM + DIFFERENCE_MM + BOTTOM_MM + (3.0 if long else 0.0)
     width = max(LEFT_MM + wide + RIGHT_MM, 60.0)
-    figure = blank(width, TOP_MM + legend + WELLS_MM + GAP_MM + DIFFERENCE_MM + BOTTOM_MM)
-    top = plain(place(figure, LEFT_MM, TOP_MM + legend, wide, WELLS_MM))
-    below = plain(place(figure, LEFT_MM, TOP_MM + legend + WELLS_MM + GAP_MM, wide, DIFFERENCE_MM))
+    figure = blank(width, high)
+    top = plain(place(figure, LEFT_MM, above, wide, WELLS_MM))
+    below = plain(place(figure, LEFT_MM, above + WELLS_MM + GAP_MM, wide, DIFFERENCE_MM))
     below.axhline(0, color=FAINT, lw=0.6)
     for axes in (top, below):
         axes.set_xlim(-0.5, count - 0.5)
         axes.set_xticks(range(count))
     top.tick_params(labelbottom=False)
+    below.set_xticklabels([_short(name) for name in names])
+    if long:
+        for text in below.get_xticklabels():
+            text.set(rotation=25, ha="right", rotation_mode="anchor")
+    figure.text(LEFT_MM / width, 1 - 1.0 / high, title, va="top")
     return figure, top, below
 
 
@@ -248,21 +260,18 @@ def _interval(axes: Axes, x: float, row: Any, name: str) -> None:
     axes.plot(x, value, "o", color=INK, ms=3.2)
 
 
-def _finish(figure: Figure, top: Axes, below: Axes, names: Sequence[str], metric: str, difference: str,
-            title: str) -> None:
-    top.set_ylabel(axis_label(metric), multialignment="center")
-    below.set_ylabel(difference, multialignment="center")
-    for axes, ticks in ((top, 5), (below, 4)):
-        axes.yaxis.set_major_locator(nice_ticks(ticks))
-        axes.yaxis.set_label_coords(-(LEFT_MM - 4.5) / (axes.get_position().width * figure.get_size_inches()[0] * 25.4),
-                                    0.5)
-    long = max(len(name) for name in names) > LETTERS_ACROSS
-    below.set_xticklabels([_short(name) for name in names])
-    if long:
-        for text in below.get_xticklabels():
-            text.set(rotation=25, ha="right", rotation_mode="anchor")
-    if title:
-        top.set_title(title, loc="left", pad=3 if not top.get_legend() else 12)
+def _finish(top: Axes, below: Axes, metric: str, difference: str) -> None:
+    _name_axis(top, axis_label(metric), 5)
+    _name_axis(below, difference, 4)
+
+
+def _name_axis(axes: Axes, name: str, ticks: int) -> None:
+    """Name the vertical axis, at the same place whatever its numbers."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    axes.set_ylabel(name, multialignment="center")
+    axes.yaxis.set_major_locator(nice_ticks(ticks))
+    axes.yaxis.set_label_coords(-LABEL_MM / (axes.get_position().width * figure.get_figwidth() * MM_PER_INCH), 0.5)
 
 
 def _short(name: str) -> str:
@@ -276,8 +285,8 @@ def _name_plates(axes: Axes, plates: dict[Place, int]) -> None:
     if not 1 < len(plates) <= MOST_NAMED:
         return
     shown = [Line2D([], [], ls="none", marker=MARKERS[i % len(MARKERS)], color=COLOURS[i % len(COLOURS)], ms=3.0,
-                    mec="white", mew=0.3, label=" ".join(name for name in plate if name) or "no plate")
-             for plate, i in plates.items()]
+                    mec="white", mew=0.3, label=", ".join([plate] * bool(plate) + [f"day {day}"] * bool(day)))
+             for (day, plate), i in plates.items()]
     axes.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.1, borderpad=0.1,
                 handletextpad=0.1, columnspacing=0.8)
 
@@ -300,6 +309,8 @@ def _mark_zero(axes: Axes, zero: float, positive: Floats) -> None:
     tens = [10.0**k for k in np.arange(low, high + 1) if positive.min() / 1.5 <= 10.0**k <= positive.max() * 1.5]
     axes.xaxis.set_major_locator(FixedLocator([zero, *tens]))
     axes.xaxis.set_major_formatter(FixedFormatter(["0", *(f"{ten:g}" for ten in tens)]))
+    axes.xaxis.set_minor_locator(FixedLocator([k * 10.0**n for n in np.arange(low, high + 1) for k in range(2, 10)
+                                               if k * 10.0**n >= positive.min()]))
     axes.set_xlim(zero / 1.6, positive.max() * 2.2)
     at = float(np.sqrt(zero * positive.min()))
     axes.text(at, 0, "//", transform=axes.get_xaxis_transform(), ha="center", va="center", fontsize=POINTS, color=INK,
