@@ -33,6 +33,7 @@ from .style import (
     RED,
     SKY,
     SMALL_POINTS,
+    TWO_COLUMNS_MM,
     YELLOW,
     blank,
     nice_ticks,
@@ -53,7 +54,7 @@ LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM, GAP_MM = 17.0, 2.0, 4.5, 9.0, 3.0
 LABEL_MM = 9.5
 """From the axes to the names of their vertical axis."""
 WELLS_MM, DIFFERENCE_MM, CURVE_MM, LINE_MM = 34.0, 16.0, 40.0, 3.0
-MOST_GROUP_MM = 20.0
+MOST_GROUP_MM, MOST_IN_COLUMN = 20.0, 6
 COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p")
 MOST_NAMED = 10
@@ -222,7 +223,8 @@ def _plates(comparison: Comparison) -> dict[Place, int]:
 def _two_panels(names: Sequence[str], plates: dict[Place, int], title: str) -> tuple[Figure, Axes, Axes]:
     """Axes for the wells of groups of such names, and below them for differences."""
     count, long = len(names), max(len(name) for name in names) > LETTERS_ACROSS
-    wide = min(count * MOST_GROUP_MM, ONE_COLUMN_MM - LEFT_MM - RIGHT_MM)
+    widest = ONE_COLUMN_MM if count <= MOST_IN_COLUMN else TWO_COLUMNS_MM
+    wide = min(count * MOST_GROUP_MM, widest - LEFT_MM - RIGHT_MM)
     legend = LINE_MM * (1 + (len(plates) - 1) // 5) if 1 < len(plates) <= MOST_NAMED else 0.0
     above = (TOP_MM if title else 1.5) + legend
     high = above + WELLS_MM + GAP_MM + DIFFERENCE_MM + BOTTOM_MM + (3.0 if long else 0.0)

@@ -50,9 +50,12 @@ def dose_wells(run: Run) -> Mapping[str, list[Well]]:
     phase = run.columns.phases[-1]
     dosed = merged([well for well in run.wells if well.dose >= 0 and well.phase == phase],
                    lambda well: (well.day, well.plate, well.well, well.compound, well.dose))
-    shared = [well for well in dosed if well.dose == 0 and (not well.compound or well.compound.casefold() in CONTROLS)]
-    names = dict.fromkeys(well.compound for well in dosed if well not in shared) or {"": None}
-    return {name: [well for well in dosed if well in shared or well.compound == name] for name in names}
+    names = dict.fromkeys(well.compound for well in dosed if not _shared(well)) or {"": None}
+    return {name: [well for well in dosed if _shared(well) or well.compound == name] for name in names}
+
+
+def _shared(well: Well) -> bool:
+    return well.dose == 0 and (not well.compound or well.compound.casefold() in CONTROLS)
 
 
 def fit_responses(run: Run) -> tuple[Response, ...]:

@@ -135,10 +135,9 @@ def holm(p: Floats) -> Floats:
 
 def _means(value: Floats, places: Places, above: Ints) -> tuple[Floats, Places]:
     """Mean of each group in each plate, or in each day, in the order of group and place."""
-    pairs, at = np.unique(np.stack([places.group, above], axis=1), axis=0, return_inverse=True)
-    at = at.ravel()
-    means = np.bincount(at, value) / np.bincount(at)
-    first = np.array([int(np.argmax(at == i)) for i in range(len(pairs))])
+    pairs = np.stack([places.group, above], axis=1)
+    _, first, at = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+    means = np.bincount(at.ravel(), value) / np.bincount(at.ravel())
     return means, Places(places.group[first], places.plate[first], places.day[first], places.plate_word)
 
 
