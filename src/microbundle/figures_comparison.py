@@ -6,6 +6,7 @@ which are what the tables say; means of wells are short lines.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,7 @@ from .lookup import entries
 from .report.terms import Term, pretty
 from .statistics.groups import group_wells
 from .statistics.paired import pairs
+from .statistics.wells import file_name
 from .style import (
     BLUE,
     FAINT,
@@ -69,8 +71,10 @@ def save_all(comparison: Comparison, folder: Path | str, *, formats: Sequence[st
 
     Raises OutputError where the folder cannot be written.
     """
-    folder, files = Path(folder), []
+    folder, files, alike = Path(folder), list[Path](), Counter[str]()
     for name, make in _figures(comparison):
+        alike[name] += 1
+        name += f"_{alike[name]}" * (alike[name] > 1)
         with settings():
             figure = make()
             try:
@@ -89,13 +93,13 @@ def _figures(comparison: Comparison) -> Iterator[tuple[str, Callable[[], Figure]
     for metric in run.metrics:
         for phase in run.columns.phases if comparison.control else ():
             if any(metric in well.values for well in group_wells(run, phase)):
-                yield (safe(f"{metric}_groups{f'_{phase}' if phase else ''}"),
+                yield (file_name(f"{metric}_groups{f'_{phase}' if phase else ''}"),
                        partial(groups, comparison, metric, phase))
         if run.columns.pair and any(metric in a.values and metric in b.values for a, b in pairs(run)):
             yield f"{metric}_paired", partial(paired, comparison, metric)
     for response in comparison.responses:
         if response.wells:
-            yield (safe(f"{response.metric}_dose{f'_{response.compound}' if response.compound else ''}"),
+            yield (file_name(f"{response.metric}_dose{f'_{response.name}' if response.name else ''}"),
                    partial(dose_response, comparison, response))
 
 
@@ -169,7 +173,7 @@ def dose_response(comparison: Comparison, response: Response) -> Figure:
         axes.plot(curve.ec50[0], middle, "o", color=RED, ms=3.5, mec="white", mew=0.4, zorder=6)
     unit = comparison.run.columns.dose_unit
     unit = DOSE_UNITS.get(unit.casefold(), unit)
-    axes.set_xlabel(f"Dose of {response.compound or 'the compound'}{f' ({unit})' if unit else ''}")
+    axes.set_xlabel(f"Dose{f' of {response.compound}' if response.compound else ''}{f' ({unit})' if unit else ''}")
     _name_axis(axes, axis_label(metric), 5)
     if 0 in doses:
         _mark_zero(axes, zero, positive)
@@ -177,6 +181,7 @@ def dose_response(comparison: Comparison, response: Response) -> Figure:
         told = f"EC50 not estimable: {curve.reason}"
     else:
         told = "EC50 {:.3g} ({:.3g} to {:.3g})".format(*curve.ec50) + (f" {unit}" if unit else "")
+    told = f"{response.group}: {told}" if response.group else told
     figure.text(LEFT_MM / ONE_COLUMN_MM, 1 - 1.0 / high, fill(told, LETTERS_WIDE), va="top",
                 fontsize=SMALL_POINTS if curve.reason else POINTS)
     _name_plates(axes, plates)
@@ -209,11 +214,6 @@ def spread(values: Floats) -> Floats:
         taken = {float(out[j]) for j in order[max(k - len(steps), 0):k] if values[i] - values[j] < near}
         out[i] = next((step for step in steps if step not in taken), steps[k % len(steps)])
     return out
-
-
-def safe(name: str) -> str:
-    """A name that is safe in a file's name."""
-    return "".join(letter if letter.isalnum() or letter in "-." else "_" for letter in name)
 
 
 def _plates(comparison: Comparison) -> dict[Place, int]:

@@ -221,6 +221,34 @@ def test_vehicle_counts_for_every_compound_and_empty_doses_for_none(tmp_path: Pa
     assert one(table, compound="X")["ec50"] == pytest.approx(one(table, compound="Y")["ec50"])
 
 
+def test_groups_that_hold_several_doses_have_curves_of_their_own(tmp_path: Path) -> None:
+    """Two lines, of which one answers to a fifth of the dose; and groups that are doses, which share a curve."""
+    rows = [{"group": line, "plate": "P1", "well": f"{line}{d}{w}", "dose_nm": dose, "amplitude_um":
+             20 - (12 / (1 + ec50 / dose) if dose else 0) + np.random.default_rng(100 * d + w).normal(0, 0.5)}
+            for line, ec50 in (("A", 0.5), ("B", 0.1)) for d, dose in enumerate((0, 0.01, 0.03, 0.1, 0.3, 1, 3, 10))
+            for w in range(3)]
+    table = microbundle.compare(write_run(tmp_path / "lines", rows)).tables["dose_response"]
+    assert table["group"].tolist() == ["A", "B"]
+    assert table["n_wells"].tolist() == [24, 24]
+    assert table["ec50"].tolist() == pytest.approx([0.5, 0.1], rel=0.3)
+    named = [{**row, "group": f"d{row['dose_nm']}"} for row in rows[:24]]
+    table = microbundle.compare(write_run(tmp_path / "named", named)).tables["dose_response"]
+    assert table["group"].tolist() == [""]
+    assert table["ec50"].tolist() == pytest.approx([0.5], rel=0.3)
+
+
+def test_a_line_called_wt_keeps_its_wells_of_dose_0_for_itself(tmp_path: Path) -> None:
+    rows = [{**row, "group": group, "compound": "X"} for row in dosed(plates=1) for group in ("WT", "mutant")]
+    table = microbundle.compare(write_run(tmp_path, rows)).tables["dose_response"]
+    assert table["n_wells"].tolist() == [24, 24]
+
+
+def test_a_group_of_dose_0_alone_counts_for_all(tmp_path: Path) -> None:
+    rows = [{**row, "group": "none given" if row["dose_um"] == 0 else "X"} for row in dosed(plates=1)]
+    row = one(microbundle.compare(write_run(tmp_path, rows)).tables["dose_response"])
+    assert (row["group"], row["n_doses"]) == ("X", 8)
+
+
 def test_wells_with_several_doses_each_have_their_own_offset(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     offsets = rng.normal(0, 5, 6)
@@ -330,13 +358,15 @@ def test_the_wells_are_written_with_what_is_known_of_them(tmp_path: Path) -> Non
 
 
 def test_figures_of_all_kinds(tmp_path: Path) -> None:
-    rows = [row | {"dose": dose, "compound": "A/B"} for row in phased(plates=2) for dose in (0, 1, 10)]
+    rows = [row | {"dose": dose, "compound": compound} for row in phased(plates=2) for dose in (0, 1)
+            for compound in ("A/B", "A_B")]
+    rows = [row for row in rows if row["dose"] == (row["group"] == "drug")]
     found = microbundle.compare(write_run(tmp_path / "run", rows))
     for name in ("a", "b"):
         microbundle.write_comparison(found, tmp_path / name)
     names = {file.stem for file in (tmp_path / "a/figures").iterdir()}
     assert names == {"amplitude_um_groups_before", "amplitude_um_groups_after", "amplitude_um_paired",
-                     "amplitude_um_dose_A_B"}
+                     "amplitude_um_dose_A_B", "amplitude_um_dose_A_B_2"}
     for file in (tmp_path / "a/figures").iterdir():
         assert file.read_bytes() == (tmp_path / "b/figures" / file.name).read_bytes()
         assert file.suffix in (".png", ".pdf")

@@ -34,6 +34,12 @@ def test_the_parameters_come_back() -> None:
         assert 0 < high - low < 1e-2
 
 
+def test_numbers_without_noise_are_their_own_curve() -> None:
+    found = fit_curve(points(0))
+    assert found.reason == ""
+    assert found.ec50 == pytest.approx((0.2, 0.2, 0.2), rel=1e-3)
+
+
 def test_a_falling_response_has_a_negative_slope() -> None:
     found = fit_curve(points(0.01, bottom=5.0, top=1.0))
     assert (found.bottom[0], found.top[0]) == pytest.approx((1, 5), rel=0.02)

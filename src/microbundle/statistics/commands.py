@@ -93,8 +93,8 @@ def _print_tables(found: Comparison) -> None:
         why.update(tables["paired"]["reason"])
         why.update(tables["paired"]["difference_reason"])
     if "dose_response" in tables:
-        rows = [(row["metric"], row["compound"], _count(row), _with_interval(row, "ec50"), number(row["hill"]),
-                 number(row["p_flat"])) for row in _records(tables["dose_response"])]
+        rows = [(row["metric"], _named(row, "group", "compound"), _count(row), _with_interval(row, "ec50"),
+                 number(row["hill"]), number(row["p_flat"])) for row in _records(tables["dose_response"])]
         print_rows(f"Dose-response, {found.run.columns.dose}", ("metric", "compound", "wells", "EC50 (95 % interval)",
                                                                 "Hill slope", "p (flat)"), rows)
         why.update(tables["dose_response"]["reason"])

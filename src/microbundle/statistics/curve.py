@@ -207,7 +207,7 @@ def _crossings(axis: Floats, profile: Floats, limit: float) -> tuple[float, floa
         inside = np.array([int(np.argmin(profile))])
 
     def crossing(within: int, without: int) -> float:
-        if not 0 <= without < len(axis):
+        if not 0 <= without < len(axis) or not profile[without] > profile[within]:
             return float(axis[within])
         share = (limit - profile[within]) / (profile[without] - profile[within])
         return float(axis[within] + max(share, 0.0) * (axis[without] - axis[within]))

@@ -10,10 +10,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 
-from .dose import dose_wells
+from .dose import curve_name, dose_wells
 from .groups import group_wells
 from .paired import pairs
-from .wells import Run, Well
+from .wells import Run, Well, file_name
 
 Cells = list[list[str]]
 
@@ -37,7 +37,7 @@ def tables(run: Run, metric: str) -> Iterator[tuple[str, Cells]]:
         wells = [well for well in group_wells(run, phase) if metric in well.values]
         groups = {group: [well for well in wells if well.group == group] for group in run.groups}
         if wells:
-            after = f"_{_safe(phase)}" if phase else ""
+            after = f"_{file_name(phase)}" if phase else ""
             yield f"column{after}", _columns({name: [_text(w.values[metric]) for w in mine]
                                               for name, mine in groups.items()})
             yield f"nested{after}", _nested(metric, groups)
@@ -81,18 +81,18 @@ def _paired(run: Run, metric: str) -> Iterator[list[str]]:
 
 
 def _xy(run: Run, metric: str) -> Cells:
-    """A row for each dose: the dose, then the wells of each compound, as many subcolumns to each."""
+    """A row for each dose: the dose, then the wells of each curve, as many subcolumns to each."""
     at: dict[str, dict[float, list[str]]] = {}
-    for compound, wells in dose_wells(run).items():
-        found = at.setdefault(compound, {})
+    for names, wells in dose_wells(run).items():
+        found = at.setdefault(curve_name(*names), {})
         for well in wells:
             if metric in well.values:
                 found.setdefault(well.dose, []).append(_text(well.values[metric]))
     doses = sorted({dose for found in at.values() for dose in found})
     wide = max((len(values) for found in at.values() for values in found.values()), default=1)
     titles = [run.columns.dose]
-    for compound in at:
-        titles += [compound or metric, *[""] * (wide - 1)]
+    for name in at:
+        titles += [name or metric, *[""] * (wide - 1)]
     rows = [[_text(dose)] for dose in doses]
     for found in at.values():
         for row, dose in zip(rows, doses, strict=True):
@@ -103,8 +103,3 @@ def _xy(run: Run, metric: str) -> Cells:
 
 def _text(value: float) -> str:
     return f"{value:.7g}"
-
-
-def _safe(name: str) -> str:
-    """A name that is safe in a file's name."""
-    return "".join(letter if letter.isalnum() or letter in "-." else "_" for letter in name)

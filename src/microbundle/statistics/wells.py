@@ -160,6 +160,11 @@ def natural_control(groups: Sequence[str]) -> str:
     return next((named[name] for name in CONTROLS if name in named), groups[0])
 
 
+def file_name(name: str) -> str:
+    """Make a name safe in a file's name."""
+    return "".join(letter if letter.isalnum() or letter in "-." else "_" for letter in name)
+
+
 def _table(file: Path) -> tuple[list[str], list[dict[str, str]]]:
     rows = _rows(file)
     header = next(rows)
