@@ -156,6 +156,12 @@ def test_another_column_and_control(tmp_path: Path) -> None:
     assert adjusted.min() == pytest.approx(2 * table["p"].min())
 
 
+def test_groups_that_are_numbers_stand_by_their_size(tmp_path: Path) -> None:
+    found = microbundle.compare(write_run(tmp_path, dosed()), by="dose_um")
+    assert found.tables["comparison"]["group"].tolist() == ["0", "0.01", "0.03", "0.1", "0.3", "1", "3", "10"]
+    assert found.control == "0"
+
+
 def test_a_group_of_one_well_is_not_estimable(tmp_path: Path) -> None:
     rows = [*grouped(), {"group": "odd", "plate": "P1", "well": "H1", "amplitude_um": 3.0}]
     row = one(microbundle.compare(write_run(tmp_path, rows)).tables["comparison"], group="odd")
@@ -282,6 +288,7 @@ def test_a_flat_response_is_not_estimable(tmp_path: Path) -> None:
     (phased, {"before": "later"}, "--before later: column phase has no such value; column phase has after, before"),
     (lambda: [{"plate": "P1", "amplitude_um": 1.0}], {}, "expected a column group, phase or dose"),
     (lambda: [{"phase": p, "amplitude_um": 1.0} for p in ("before", "after")], {}, "need the column well"),
+    (lambda: grouped(groups=("drug",)), {}, "column group: expected two groups or more to compare; found drug alone"),
     (lambda: [{"dose": "high", "amplitude_um": 1.0}], {}, "movie m0.tif, column dose: .* found 'high'"),
     (lambda: [{"dose": "-1", "amplitude_um": 1.0}], {}, "a number from 0 up; found '-1'"),
     (lambda: [{"group": "a", "verdict": "fail", "amplitude_um": 1.0}], {}, "all 1 are left out, .* verdict fail"),

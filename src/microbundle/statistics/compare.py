@@ -84,8 +84,12 @@ def _control(run: Run, asked: str | None, notes: list[str]) -> str:
         raise ConfigError(f"--control {asked}: column {by} has no such value; it has {', '.join(groups)}")
     control = asked or natural_control(groups)
     if len(groups) == 1:
-        notes.append(f"column {by} has one value, {control}: there is nothing to compare it with")
-    elif asked is None:
+        if not (run.columns.pair or run.columns.dose):
+            raise ConfigError(f"column {by}: expected two groups or more to compare; found {control} alone. Name "
+                              "another column with --by")
+        notes.append(f"column {by} has one value, {control}: there are no groups to compare")
+        return ""
+    if asked is None:
         notes.append(f"groups are compared with {control}; choose another with --control")
     several = {group: {well.dose for well in run.wells if well.group == group and np.isfinite(well.dose)}
                for group in groups}

@@ -84,8 +84,11 @@ class Run:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Names of the groups, in natural order."""
-        return tuple(sorted({well.group for well in self.wells if well.group}, key=natural_key))
+        """Names of the groups, in natural order; numbers by their size."""
+        names = {well.group for well in self.wells if well.group}
+        if all(_number(name) is not None for name in names):
+            return tuple(sorted(names, key=lambda name: (float(name), name)))
+        return tuple(sorted(names, key=natural_key))
 
 
 def read_run(folder: Path | str, *, metrics: Sequence[str] | None = None, by: str | None = None,
@@ -259,14 +262,20 @@ def _kept(movies: list[dict[str, str]], columns: Chosen,
     return kept, left_out
 
 
+def _number(text: str) -> float | None:
+    """The finite number that a text is; None where it is none."""
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
+
+
 def _dose(row: dict[str, str], column: str) -> float:
     if not row[column]:
         return math.nan
-    try:
-        dose = float(row[column])
-    except ValueError:
-        dose = math.nan
-    if not (dose >= 0 and math.isfinite(dose)):
+    dose = _number(row[column])
+    if dose is None or dose < 0:
         raise ConfigError(f"{MOVIES}, movie {row['movie']}, column {column}: expected a dose, a number from 0 up; "
                           f"found {row[column]!r}. Correct the manifest, and run `microbundle batch` again")
     return dose
@@ -304,7 +313,7 @@ def _wells(kept: dict[str, dict[str, str]], values: dict[str, dict[str, float]],
         dose = _dose(row, columns.dose) if columns.dose else math.nan
         found[day, plate, well or movie, group, phase, compound, f"{dose:.12g}"].append(movie)
     out = []
-    for names in sorted(found, key=lambda names: [natural_key(name) for name in names]):
+    for names in sorted(found, key=lambda names: (*map(natural_key, names[:-1]), _number(names[-1]) or 0.0)):
         day, plate, well, group, phase, compound, text = names
         out.append(Well(day, plate, well, group, phase, compound, float(text), len(found[names]),
                         _mean([values[movie] for movie in found[names]])))

@@ -8,7 +8,7 @@ from ..folder import write_whole
 from .compare import Comparison, compare
 from .prism import write_prism
 
-KIND = "comparison"
+KIND = "results of a comparison"
 PRISM, FIGURES = "prism", "figures"
 
 
