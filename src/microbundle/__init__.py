@@ -39,14 +39,16 @@ if TYPE_CHECKING:
     from .pipeline import analyze
     from .read import read_movie
     from .report import write_index, write_report
+    from .statistics.compare import compare
+    from .statistics.write import write_comparison
     from .store import load, save
     from .subsets import follow_body, follow_points
     from .uncertainty import alternatives, displacement_error_at, standard_errors
     from .workbook import write_workbook
 
 _HOME = {
-    "Analysis": "analysis", "Config": "config", "Movie": "data", "analyze": "pipeline", "compat_columns": "compat",
-    "decide": "decide",
+    "Analysis": "analysis", "Config": "config", "Movie": "data", "analyze": "pipeline", "compare": "statistics.compare",
+    "compat_columns": "compat", "decide": "decide", "write_comparison": "statistics.write",
     "export_paper": "paper_layout", "load": "store", "read_mask": "mask_files", "read_movie": "read", "save": "store",
     "tables": "metrics", "write_workbook": "workbook",
     **dict.fromkeys(("Decisions", "read_decisions", "write_decisions"), "decisions"),
@@ -82,6 +84,7 @@ __all__ = [
     "__version__",
     "alternatives",
     "analyze",
+    "compare",
     "compat_columns",
     "decide",
     "displacement_error_at",
@@ -97,6 +100,7 @@ __all__ = [
     "save",
     "standard_errors",
     "tables",
+    "write_comparison",
     "write_decisions",
     "write_index",
     "write_report",
