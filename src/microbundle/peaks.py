@@ -15,8 +15,8 @@ from .data import Floats, Ints
 def find_peaks(signal: Floats, *, prominence: float, distance: float = 1.0) -> Ints:
     """Find the peaks (P,) of a signal (T,): frames that are higher than those beside them; of a plateau its middle.
 
-    Of peaks that lie nearer than `distance` frames the higher one stays. Then those stay that rise by `prominence` above
-    the higher of the two valleys that separate them from higher ground, or from the ends.
+    Of peaks that lie nearer than `distance` frames the higher one stays. Then those stay that rise by `prominence`
+    above the higher of the two valleys that separate them from higher ground, or from the ends.
     """
     peaks = _local_maxima(signal)
     kept = np.ones(len(peaks), bool)
