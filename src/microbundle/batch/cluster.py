@@ -16,7 +16,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -34,11 +34,13 @@ from .state import RESULTS, Status, guarded
 from .work import BETWEEN_EVENTS_S, Died, End, Job, Work, do, settle
 
 CONNECT_S = 20.0
+CHECK_S = 120.0
+"""So long a worker may take to answer before its first job, for which it loads microbundle."""
 LOOK_S = 1.0
 """So often is looked which workers there are."""
 WITHOUT_WORKERS_S = 300.0
 """So long a run waits for a worker where there is none."""
-SAME_LOOKS_S = 1.0
+RUN_LOOKS_S = 1.0
 """So often a worker looks whether its run still goes on."""
 _one_at_a_time = threading.Lock()
 """A worker with several threads does one job with all of them; matplotlib would mix up two."""
@@ -50,8 +52,13 @@ class _Post:
 
     threads: int
     future: Any
+    asked: float
+    """Since when it is being checked."""
+    same: bool = False
+    """It has this version of microbundle."""
+    fit: bool = False
+    """It can do the work."""
     job: Work | None = None
-    checked: bool = False
 
 
 class Cluster:
@@ -115,7 +122,7 @@ class Cluster:
                                           f"{WITHOUT_WORKERS_S / 60:.0f} minutes. {_KEPT}")
             for name, post in self._posts.items():
                 busy = sum(other.job is not None for other in self._posts.values())
-                if waiting and post.checked and post.job is None and busy < (1 if alone else self.most or busy + 1):
+                if waiting and post.fit and post.job is None and busy < (1 if alone else self.most or busy + 1):
                     tell(Started(waiting[0].task.movie))
                     self._give(name, post, waiting.popleft())
             with suppress(Empty):
@@ -130,21 +137,31 @@ class Cluster:
         """See which workers there are: check new ones, and tell of the jobs of those that are lost."""
         there = self._asking(self._client.nthreads)
         for name in set(self._posts) - set(there):
-            post = self._posts.pop(name)
-            if post.job is not None and not post.future.done():
+            post = self._posts[name]
+            if post.job is not None and post.future.done():  # it ended its job before, which the next news says
+                continue
+            del self._posts[name]
+            if post.job is not None:
                 self._asking(partial(self._client.cancel, [post.future], force=True))
                 yield post.job, Died(f"was lost (the worker {name} is gone)")
+        for name, post in list(self._posts.items()):
+            if not post.fit and time.monotonic() - post.asked > CHECK_S:  # Dask falls silent where it cannot unpickle
+                self._refuse(name, f"expected an answer within {CHECK_S:.0f} s; there was none. It needs the same "
+                                   "packages as this machine")
         for name, threads in there.items():
             if needed and name not in self._posts and name not in self._unfit:
-                future = self._send(name, _checked, self.plan.version, str(self._run), *_sample(self.plan))
-                self._posts[name] = _Post(threads, future)
+                self._posts[name] = _Post(threads, self._send(name, version, "microbundle"), time.monotonic())
         if self._unfit and needed and not self._posts:
             raise ClusterUnusable(f"{self.address}: expected a worker that can do the work; found none. "
                                   f"{self.notes[-1]}")
 
+    def _refuse(self, name: str, reason: str) -> None:
+        del self._posts[name]
+        self._unfit.add(name)
+        self.notes.append(f"the worker {name} is not used: {reason}")
+
     def _give(self, name: str, post: _Post, job: Work) -> None:
-        task = replace(job.task, path=job.task.path.absolute())
-        sent = replace(job, task=task, threads=post.threads) if isinstance(job, Job) else replace(job, task=task)
+        sent = replace(job, threads=post.threads) if isinstance(job, Job) else job
         post.job, post.future = job, self._send(name, _done, sent, str(self._run), self._topic, post.threads)
 
     def _send(self, name: str, work: Callable[..., Any], *arguments: Any) -> Any:
@@ -159,23 +176,30 @@ class Cluster:
             return
         problem, end = "", None
         if future.status == "finished":
-            end = self._asking(lambda: future.result(timeout=CONNECT_S))
+            try:
+                end = future.result(timeout=CONNECT_S)
+            except Exception:  # its worker is gone, and what became of the job with it
+                self._asking(self._client.nthreads)
+                problem = f"the worker {name} is gone"
         elif future.status == "error":
             problem = _short(self._asking(lambda: future.exception(timeout=CONNECT_S)))
         else:
             self._asking(self._client.nthreads)  # where the scheduler was lost, Dask calls all jobs cancelled
             problem = "its job was cancelled"
-        if post.job is None:
-            reason = f"expected microbundle {self.plan.version} on it; {problem}" if problem else end
-            post.checked = not reason
-            if reason:
-                del self._posts[name]
-                self._unfit.add(name)
-                self.notes.append(f"the worker {name} is not used: {reason}")
-            return
-        job, post.job = post.job, None
-        assert end is None or isinstance(end, Status | Drawn)
-        yield job, Died(f"was lost ({problem})") if end is None else end
+        if post.job is not None:
+            job, post.job = post.job, None
+            assert end is None or isinstance(end, Status | Drawn)
+            yield job, Died(f"was lost ({problem})") if end is None else end
+        elif not post.same:
+            post.same = end == self.plan.version
+            if post.same:
+                post.future = self._send(name, _checked, str(self._run), *_sample(self.plan))
+            else:
+                self._refuse(name, f"expected microbundle {self.plan.version} on it; found {problem or end}")
+        elif problem or end:
+            self._refuse(name, problem or str(end))
+        else:
+            post.fit = True
 
     def _asking(self, ask: Callable[[], Any]) -> Any:
         """Ask the scheduler for something. Raises ClusterUnusable where it does not answer."""
@@ -209,11 +233,8 @@ class _Stopped(BaseException):
     """The run that wanted a job goes on no more."""
 
 
-def _checked(wanted: str, run: str, movie: str | None, seen: str) -> str:
+def _checked(run: str, movie: str | None, seen: str) -> str:
     """On a worker: tell why it cannot do the work; empty where it can."""
-    found = version("microbundle")
-    if found != wanted:
-        return f"expected microbundle {wanted} on it; found {found}"
     file = Path(run)
     with suppress(OSError):
         if file.read_text(encoding="utf-8") != file.name:
@@ -244,7 +265,7 @@ def _telling(worker: Any, run: Path, topic: str, movie: str) -> Tell:
     def tell(event: Progress) -> None:
         nonlocal told, looked
         now = time.monotonic()
-        if now - looked >= SAME_LOOKS_S or event.share == 1:
+        if now - looked >= RUN_LOOKS_S or event.share == 1:
             looked = now
             if not run.exists():
                 raise _Stopped
@@ -274,13 +295,15 @@ def _short(error: BaseException | None) -> str:
     return text if len(text) > 20 else f"{type(error).__name__} {text}".strip()
 
 
-class _quiet:
+@contextmanager
+def _quiet() -> Iterator[None]:
     """Keep what Dask logs off the error stream: what matters in it becomes one of our errors."""
-
-    def __enter__(self) -> None:
-        self._log = logging.getLogger("distributed")
-        self._level = self._log.level
-        self._log.setLevel(logging.CRITICAL + 1)
-
-    def __exit__(self, *_: object) -> None:
-        self._log.setLevel(self._level)
+    levels = {name: logging.getLogger(name).level for name in logging.root.manager.loggerDict
+              if name.partition(".")[0] == "distributed"}  # each has a level of its own
+    for name in levels:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)

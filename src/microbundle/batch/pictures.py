@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +81,7 @@ def picture_jobs(plan: Plan, out: Path, shared: Mapping[str, Mapping[str, Any]])
             own = {section: shared[task.movie][section] for section in wanted
                    if not check_drawn(out / RESULTS / task.key, section, shared[task.movie][section])}
             if own:
-                jobs.append(PicturesJob(task, out, own))
+                jobs.append(PicturesJob(replace(task, path=task.path.absolute()), out, own))
     return jobs, len(shared) - len(jobs)
 
 

@@ -60,7 +60,8 @@ def result_of(job: Job) -> Path:
 
 def job_of(task: Task, out: Path, plan: Plan, threads: int) -> Job:
     """Make the job of a task of a plan."""
-    return Job(task, out, plan.version, plan.report, threads, plan.figures or plan.movies)
+    absolute = replace(task, path=task.path.absolute())  # a worker may work in another folder
+    return Job(absolute, out, plan.version, plan.report, threads, plan.figures or plan.movies)
 
 
 def serve(pipe: Connection, alone: bool) -> None:
