@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 import tifffile
 from numpy.typing import NDArray
 
-from microbundle import cli, folder
+from microbundle import folder
 from microbundle.batch.limits import read_limits, robust, shared_limits
 from microbundle.batch.plan import make_plan
 from microbundle.batch.run import run_batch
@@ -20,7 +21,6 @@ from microbundle.config import Config
 from microbundle.errors import OutputError
 from microbundle.events import BatchEvent, Drawing, Drawn
 from microbundle.folder import LIST, check_free, write_within
-from microbundle.store import load
 
 Image = NDArray[Any]
 SETTINGS = Config.from_dict({"method": "fast", "fps": 30, "um_per_px": 4, "strain": {"tile_px": 20}})
@@ -53,53 +53,48 @@ def test_pictures_are_drawn_with_shared_limits_and_again_only_where_those_change
         assert not outcome.undrawn
         return [event.movie for event in told if isinstance(event, Drawn)]
 
-    assert drawn() == []
-    result = out / "results" / "A1.tif"
-    assert read_limits(result) is None  # nobody wanted pictures yet
-    before = (result / "result.nc").stat().st_mtime_ns
-    assert drawn(figures=True) == ["A1.tif", "B1.tif"]
-    assert (result / "result.nc").stat().st_mtime_ns == before, "nothing is measured again for pictures"
-    assert told[1] == Drawing(2, 0)
-    used = json.loads((result / "figures" / "limits.json").read_text())
+    assert drawn(movies=True) == ["A1.tif", "B1.tif"]
+    result, failed = out / "results" / "A1.tif", out / "results" / "B1.tif"
     own = read_limits(result)
     assert own is not None
-    assert used["displacement"] == list(own["figures"]["displacement"]), "the movie that fails does not count"
-    assert json.loads((out / "results" / "B1.tif" / "figures" / "limits.json").read_text()) == used
-    assert (result / "figures" / "displacement.png").stat().st_size > 5000
-    assert drawn(figures=True) == []
-    assert told[1] == Drawing(2, 2)
-
-    # Another movie's limits are changed: the pictures of both are drawn again.
-    wider = {name: (low * 2, high * 2) for name, (low, high) in own["figures"].items()}
-    (result / "limits.json").write_text(json.dumps(own | {"figures": wider}))
-    assert drawn(figures=True, movies=True) == ["A1.tif", "B1.tif"]
-    assert json.loads((result / "figures" / "limits.json").read_text())["displacement"][1] == 2 * used["displacement"][1]
-    assert {"displacement.mp4", "strain.mp4", "limits.json"} == set(os.listdir(result / "movies"))
+    assert used(result) == {name: list(limits) for name, limits in own["movies"].items()}, "B1 fails"
+    assert used(failed).items() <= used(result).items()
+    assert set(os.listdir(result / "movies")) == {"displacement.mp4", "strain.mp4", "limits.json"}
     assert found(result) == listed(result)
+    before = (result / "result.nc").stat().st_mtime_ns
+    assert drawn(movies=True) == []
+    assert Drawing(2, 2) in told
+
+    wider = {name: (low * 2, high * 2) for name, (low, high) in own["movies"].items()}
+    (result / "limits.json").write_text(json.dumps(own | {"movies": wider}))
+    assert drawn(movies=True) == ["A1.tif", "B1.tif"]
+    assert used(failed)["displacement"][1] == 2 * own["movies"]["displacement"][1]
+    assert (result / "result.nc").stat().st_mtime_ns == before, "nothing is measured again for pictures"
     check_free(result, "results", overwrite=True)
     assert [name for name in os.listdir(out / "results") if name.startswith(".")] == []
 
 
-def test_pictures_that_cannot_be_drawn_are_told_and_tried_again(
-        two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source = tmp_path / "movies"
-    source.mkdir()
-    (source / "A1.tif").symlink_to(two / "A1.tif")
-    out = tmp_path / "out"
-    line = ["batch", str(source), "--out", str(out), "--method", "fast", "--fps", "30", "--um-per-px", "4",
-            "--no-report", "--workers", "1"]
-    assert cli.run(line) == 0
-    result = out / "results" / "A1.tif" / "result.nc"
-    whole = result.read_bytes()
-    result.write_bytes(whole[:1000])
-    capsys.readouterr()
-    assert cli.run([*line, "--movies"]) == 0
-    assert "no pictures of A1.tif: " in capsys.readouterr().out
-    result.write_bytes(whole)
-    assert cli.run([*line, "--movies"]) == 0
-    assert "no pictures" not in capsys.readouterr().out
-    assert load(result).name == "A1.tif"
-    assert (result.parent / "movies" / "displacement.mp4").is_file()
+def used(result: Path) -> dict[str, list[float]]:
+    """Limits that the movies of a result were drawn with."""
+    return dict(json.loads((result / "movies" / "limits.json").read_text()))
+
+
+def test_pictures_of_an_earlier_run_that_cannot_be_drawn_are_told_and_tried_again(two: Path, tmp_path: Path) -> None:
+    manifest, out = two / "one.csv", tmp_path / "out"
+    manifest.write_text("movie\nA1.tif\n")
+    plan = make_plan(manifest, config=SETTINGS, report=False)
+    run_batch(plan, out, workers=1)
+    result = out / "results" / "A1.tif"
+    assert read_limits(result) is None
+    whole = (result / "result.nc").read_bytes()
+    (result / "result.nc").write_bytes(whole[:1000])
+    outcome = run_batch(replace(plan, figures=True), out, workers=1)
+    assert "the result cannot be read" in outcome.undrawn["A1.tif"]
+    (result / "result.nc").write_bytes(whole)
+    assert not run_batch(replace(plan, figures=True), out, workers=1).undrawn
+    assert (result / "figures" / "displacement.png").stat().st_size > 5000
+    assert read_limits(result) is not None
+    assert found(result) == listed(result)
 
 
 # --- limits ---------------------------------------------------------------------------------------------------------
