@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         CalibrationMissing,
         CannotMeasure,
         ChoiceMissing,
+        ClusterUnusable,
         ConfigError,
         MaskUnusable,
         MicrobundleError,
@@ -55,9 +56,9 @@ _HOME = {
     **dict.fromkeys(("write_index", "write_report"), "report"),
     **dict.fromkeys(("follow_body", "follow_points"), "subsets"),
     **dict.fromkeys(("alternatives", "displacement_error_at", "standard_errors"), "uncertainty"),
-    **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ChoiceMissing", "ConfigError", "MaskUnusable",
-                     "MicrobundleError", "MovieUnreadable", "NoPillars", "NoTexture", "NoTissue", "OutputError",
-                     "ResultUnreadable"), "errors"),
+    **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ChoiceMissing", "ClusterUnusable", "ConfigError",
+                     "MaskUnusable", "MicrobundleError", "MovieUnreadable", "NoPillars", "NoTexture", "NoTissue",
+                     "OutputError", "ResultUnreadable"), "errors"),
 }
 """Module of each public name; they are imported when first used, so that `import microbundle` is fast."""
 
@@ -69,6 +70,7 @@ __all__ = [
     "CalibrationMissing",
     "CannotMeasure",
     "ChoiceMissing",
+    "ClusterUnusable",
     "Config",
     "ConfigError",
     "Decisions",
