@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         CalibrationMissing,
         CannotMeasure,
         ChoiceMissing,
+        ClusterUnusable,
         ConfigError,
         MaskUnusable,
         MicrobundleError,
@@ -39,23 +40,25 @@ if TYPE_CHECKING:
     from .pipeline import analyze
     from .read import read_movie
     from .report import write_index, write_report
+    from .statistics.compare import compare
+    from .statistics.write import write_comparison
     from .store import load, save
     from .subsets import follow_body, follow_points
     from .uncertainty import alternatives, displacement_error_at, standard_errors
     from .workbook import write_workbook
 
 _HOME = {
-    "Analysis": "analysis", "Config": "config", "Movie": "data", "analyze": "pipeline", "compat_columns": "compat",
-    "decide": "decide",
+    "Analysis": "analysis", "Config": "config", "Movie": "data", "analyze": "pipeline", "compare": "statistics.compare",
+    "compat_columns": "compat", "decide": "decide", "write_comparison": "statistics.write",
     "export_paper": "paper_layout", "load": "store", "read_mask": "mask_files", "read_movie": "read", "save": "store",
     "tables": "metrics", "write_workbook": "workbook",
     **dict.fromkeys(("Decisions", "read_decisions", "write_decisions"), "decisions"),
     **dict.fromkeys(("write_index", "write_report"), "report"),
     **dict.fromkeys(("follow_body", "follow_points"), "subsets"),
     **dict.fromkeys(("alternatives", "displacement_error_at", "standard_errors"), "uncertainty"),
-    **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ChoiceMissing", "ConfigError", "MaskUnusable",
-                     "MicrobundleError", "MovieUnreadable", "NoPillars", "NoTexture", "NoTissue", "OutputError",
-                     "ResultUnreadable"), "errors"),
+    **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ChoiceMissing", "ClusterUnusable", "ConfigError",
+                     "MaskUnusable", "MicrobundleError", "MovieUnreadable", "NoPillars", "NoTexture", "NoTissue",
+                     "OutputError", "ResultUnreadable"), "errors"),
 }
 """Module of each public name; they are imported when first used, so that `import microbundle` is fast."""
 
@@ -67,6 +70,7 @@ __all__ = [
     "CalibrationMissing",
     "CannotMeasure",
     "ChoiceMissing",
+    "ClusterUnusable",
     "Config",
     "ConfigError",
     "Decisions",
@@ -82,6 +86,7 @@ __all__ = [
     "__version__",
     "alternatives",
     "analyze",
+    "compare",
     "compat_columns",
     "decide",
     "displacement_error_at",
@@ -97,6 +102,7 @@ __all__ = [
     "save",
     "standard_errors",
     "tables",
+    "write_comparison",
     "write_decisions",
     "write_index",
     "write_report",

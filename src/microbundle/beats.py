@@ -33,6 +33,7 @@ from .contraction import (
 from .data import Beats, Bools, Finding, Floats, Ints, Masks, Movie, Tracks
 from .focus import shared_part, sharpness_correlation
 from .modes import FRAMES_AT_ONCE, NOISE_FACTOR, faintest_in
+from .peaks import find_peaks
 
 SMALLEST_SHARE = 0.25
 """A peak counts as a beat from this share of the signal's whole range."""
@@ -144,8 +145,6 @@ def detection_limit(tracks: Tracks, displacement_px: Floats, params: BeatParams)
 def cut_signal(signal: Floats, noise: float, params: BeatParams,
                frames_per_s: float | None = None) -> tuple[Cut, Without]:
     """Cut a contraction signal (T,) in px into beats, or say why there are none."""
-    from scipy.signal import find_peaks
-
     none = Cut([], [], [], [], [])
     if len(signal) < 5:
         return none, Without(f"the movie has only {len(signal)} frames")
@@ -161,7 +160,7 @@ def cut_signal(signal: Floats, noise: float, params: BeatParams,
     prominence = max(stands_out, SMALLEST_SHARE * (high - low))
     # Below both ends, so that a signal that starts or ends high has a peak there: a beat that is cut off.
     padded = np.concatenate([[smooth.min()], smooth, [smooth.min()]])
-    peaks = find_peaks(padded, prominence=prominence, distance=distance)[0] - 1
+    peaks = find_peaks(padded, prominence=prominence, distance=distance) - 1
     inner = peaks[(peaks > 0) & (peaks < len(signal) - 1)]
     if len(inner) == 0:
         return none, Without(f"the tissue moves by {high - low:.3g} px, but the movie holds no peak of a beat")
@@ -290,15 +289,13 @@ def with_findings(beats: Beats, without: Without) -> Beats:
 
 
 def _paper_beats(tracks: Tracks) -> Beats:
-    from scipy.signal import find_peaks
-
     moved = tracks.position_px - tracks.position_px[0]
     series = np.hypot(moved[..., 0], moved[..., 1]).mean(axis=1)
     crossings = np.flatnonzero(np.diff(np.sign(series - series.mean())))
     peaks = np.empty(0, int)
     if len(crossings) > 1:
         distance = max(1.0, 1.5 * float(np.diff(crossings).mean()))
-        peaks = find_peaks(series, distance=distance, prominence=PAPER_PROMINENCE_PX)[0]
+        peaks = find_peaks(series, distance=distance, prominence=PAPER_PROMINENCE_PX)
     valleys = ((peaks[:-1] + peaks[1:]) / 2).astype(int)
     start, stop = valleys[:-1], valleys[1:]
     peak = peaks[1:-1] if len(peaks) > 2 else np.empty(0, int)

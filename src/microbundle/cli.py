@@ -21,6 +21,8 @@ app = App(name="microbundle", help="Displacement, strain and beat metrics from m
 app.command("microbundle.commands:analyze", name="analyze", help="Measure one movie and write a folder of results.")
 app.command("microbundle.batch.commands:batch", name="batch", help="Measure many movies, resume where that was "
             "stopped, and write tables over all of them.")
+app.command("microbundle.statistics.commands:compare", name="compare", help="Compare the wells of a run over many "
+            "movies: groups, before and after, doses.")
 app.command("microbundle.web.commands:app", name="app", help="Open the app: a page in the browser, on this computer "
             "alone, that does what the command line does.")
 app.command("microbundle.commands:info", name="info", help="Show what is inside a movie file or folder, and what would "

@@ -34,9 +34,16 @@ class Progress:
     movies: dict[str, Doing] = field(default_factory=dict)
     total: int = 0
     unchanged: int = 0
+    pictures: int = 0
+    """Results whose pictures are drawn, once all movies are measured."""
+    drawn: int = 0
+    drawing: dict[str, float] = field(default_factory=dict)
+    """Share of the pictures of each movie that is drawn."""
+    problems: dict[str, str] = field(default_factory=dict)
+    """Why there are no pictures of a movie."""
     completed: bool = False
     first: datetime | None = None
-    """When the first movie was begun."""
+    """When the first movie, or drawing the pictures, was begun."""
     last: datetime | None = None
     version: int = 0
     """Grows with each event."""
@@ -67,6 +74,15 @@ class Progress:
         elif kind == "started":
             self.first = self.first or self.last
             self.movies[event["movie"]] = Doing("running", "starting")
+        elif kind == "drawing":
+            self.pictures, self.drawn, self.first = event["movies"], event["unchanged"], self.last
+        elif kind == "drawn":
+            self.drawing.pop(event["movie"], None)
+            self.drawn += 1
+            if event["problem"]:
+                self.problems[event["movie"]] = event["problem"]
+        elif kind == "progressed" and self.pictures:
+            self.drawing[event["movie"]] = event["share"]
         elif kind == "progressed":
             self.movies[event["movie"]] = Doing("running", event["stage"], event["share"])
         elif kind == "finished":
@@ -82,17 +98,24 @@ class Progress:
         return self.unchanged + sum(one.state in ("done", "failed") for one in self.movies.values())
 
     @property
+    def stage(self) -> str:
+        """What is being done, where that is not the measurement of movies."""
+        return "drawing pictures" if self.pictures and not self.completed else ""
+
+    @property
     def share(self) -> float:
-        """Share of the run that is done, movies in work included."""
+        """Share of the run, or of its pictures, that is done, movies in work included."""
+        if self.pictures:
+            return min(1.0, (self.drawn + sum(self.drawing.values())) / self.pictures)
         under_way = sum(one.share for one in self.movies.values() if one.state == "running")
         return min(1.0, (self.ended + under_way) / self.total) if self.total else 0.0
 
     def seconds_left(self, now: datetime) -> float | None:
         """Time that the rest will take, at the pace so far; None while that cannot be told."""
-        todo = self.total - self.unchanged
-        if self.first is None or todo <= 0:
+        whole, before = (self.pictures, 0) if self.pictures else (self.total, self.unchanged)
+        if self.first is None or whole <= before:
             return None
-        done = (self.share * self.total - self.unchanged) / todo
+        done = (self.share * whole - before) / (whole - before)
         if done < FEWEST_SHARE:
             return None
         return max(0.0, (now - self.first).total_seconds() * (1 - done) / done)

@@ -10,11 +10,9 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
-from inspect import signature
 from pathlib import Path
 from typing import Any, Literal
 
-from ..batch.commands import batch
 from ..batch.state import whole
 
 State = Literal["preparing", "draft", "queued", "running", "done", "stopped", "failed"]
@@ -87,11 +85,6 @@ class Home:
         return self.runs / f"{self.id}.settings.toml"
 
 
-def pictures_known() -> bool:
-    """Tell whether a batch run can make pictures and movies."""
-    return set(PICTURES) <= set(signature(batch).parameters)
-
-
 def now() -> str:
     """The time, as it is written in records."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
@@ -133,7 +126,7 @@ def arguments(home: Home, record: Record) -> list[str]:
         out += ["--config", str(home.settings)]
     if record.pattern:
         out.append(f"--pattern={record.pattern}")
-    return out + [f"--{name}" for name in PICTURES if getattr(record, name) and pictures_known()]
+    return out + [f"--{name}" for name in PICTURES if getattr(record, name)]
 
 
 def command(home: Home, record: Record) -> str:

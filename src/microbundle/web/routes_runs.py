@@ -8,7 +8,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from . import archive, records, settings, streams, uploads
+from . import archive, settings, streams, uploads
 from .answers import Refused, answer, body_of, text_in
 from .desk import Desk
 from .results import outputs_of, plates_of, run_file
@@ -31,8 +31,7 @@ def run_of(request: Request) -> str:
 async def about(request: Request) -> Response:
     desk = desk_of(request)
     return answer({"version": version("microbundle"), "workspace": str(desk.workspace), "example": True,
-                   "pictures": records.pictures_known(),
-                   "roots": [{"id": root.id, "name": root.name} for root in desk.places.roots]})
+                   "pictures": True, "roots": [{"id": root.id, "name": root.name} for root in desk.places.roots]})
 
 
 async def browse(request: Request) -> Response:

@@ -81,6 +81,7 @@ class Views:
             try:
                 plan = self.runs.plan(id)
                 tasks, columns, notes = plan.tasks, list(plan.columns), list(plan.notes)
+                notes += [f"no pictures: {why}" for why in self.runs.progress(id).problems.values()]
             except (MicrobundleError, Refused) as error:
                 tasks, message = self._kept_tasks(home), message or str(error)
         rows = [self.movie(record, home, task) for task in tasks]
@@ -95,7 +96,8 @@ class Views:
             "ended": record.ended, "command": self.runs.shown_command(id), "settings": dict(record.settings),
             "pattern": record.pattern, "figures": record.figures, "movie_files": record.movies, "columns": columns,
             "notes": notes, "cancelled": record.cancelled,
-            "progress": {"done": done, "failed": failed, "total": len(rows) or short["movies"],
+            "progress": {"stage": self.runs.progress(id).stage if record.state == "running" else "", "done": done,
+                         "failed": failed, "total": len(rows) or short["movies"],
                          "share": round(share, 4), "seconds_left": short["seconds_left"]},
             "metrics": [{"column": term.column, "label": term.name, "unit": term.unit, "tip": term.tip}
                         for term in terms],
@@ -107,7 +109,8 @@ class Views:
         result = home.out / RESULTS / task.key
         status: Status | None = self._file(home.out / STATUS / f"{task.key}.json",
                                            lambda: read_status(home.out, task))
-        doing = self.runs.progress(record.id).movies.get(task.movie) if record.state == "running" else None
+        progress = self.runs.progress(record.id)
+        doing = progress.movies.get(task.movie) if record.state == "running" else None
         numbers: Numbers | None = self._file(result / TABLE, lambda: _numbers(result / TABLE))
         listed, version = self._file(sidecar_of(result), lambda: _decisions(result)) or ([], decided.NONE)
         state, stale = "todo", False
@@ -123,7 +126,10 @@ class Views:
             "metrics": numbers.mean if numbers else {}, "se": numbers.error if numbers else {},
             "accepted": accepted(listed), "decisions": len(listed), "report": (result / NAME).is_file(),
         }
-        if doing is not None and doing.state == "running":
+        drawing = progress.drawing.get(task.movie) if record.state == "running" else None
+        if drawing is not None:
+            out |= {"state": "running", "stage": "drawing pictures", "share": drawing}
+        elif doing is not None and doing.state == "running":
             out |= {"state": "running", "stage": doing.stage, "share": doing.share}
         elif state in ("done", "failed") and stale and doing is None and not numbers:
             out |= {"state": "todo", "share": 0.0}
