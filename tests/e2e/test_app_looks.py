@@ -24,6 +24,8 @@ VIEWS = {
     "notes": ("/run/{run}/P1_A1.tif#notes", "#panel-notes textarea"),
     "side": ("/run/{run}/side?a=P1_A1.tif&b=P1_A2.tif", "#side .chart"), "review": ("/run/{run}/review", "#reviewer"),
 }
+DARK = ("home", "run", "masks", "notes")
+"""Views in which every colour occurs."""
 FOCUSED = """() => { const { tagName, textContent, ariaLabel } = document.activeElement;
   return ["A", "BUTTON", "INPUT"].includes(tagName) ? textContent + (ariaLabel ?? "") : ""; }"""
 RULES = {"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]}
@@ -35,6 +37,8 @@ def test_axe_finds_nothing_light_or_dark(visit: Visit, app: App, run: str) -> No
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)
         for name, (path, ready) in VIEWS.items():
+            if scheme == "dark" and name not in DARK:
+                continue
             page.goto("about:blank")
             page.goto(app.at(path.format(run=run)))
             page.locator(ready).first.wait_for(state="attached")

@@ -3,16 +3,18 @@
 import { draw } from "./shared.js";
 import { say } from "./page.js";
 
-const STEP_DEG = 0.5, LARGE_DEG = 5;
+const STEP_DEG = 0.5,
+  LARGE_DEG = 5;
 
 // Into (-90, 90], as the tissue's axis is told.
 export const turned = (degrees) => {
-  const at = ((degrees + 90) % 180 + 180) % 180 - 90;
+  const at = ((((degrees + 90) % 180) + 180) % 180) - 90;
   return at === -90 ? 90 : at;
 };
 
 export function axisEnds({ center, angle_deg: angle, length_px: length }) {
-  const half = 0.56 * length, by = [Math.sin(angle * Math.PI / 180) * half, Math.cos(angle * Math.PI / 180) * half];
+  const half = 0.56 * length,
+    by = [Math.sin((angle * Math.PI) / 180) * half, Math.cos((angle * Math.PI) / 180) * half];
   return [-1, 1].map((side) => [center[0] + side * by[0], center[1] + side * by[1]]);
 }
 
@@ -28,7 +30,9 @@ export class AxisTool {
     say("Axis. Drag an end, or tab to it and press the arrow keys.");
   }
 
-  stop() { this.layer.remove(); }
+  stop() {
+    this.layer.remove();
+  }
 
   render() {
     if (this.dragging) return;
@@ -42,12 +46,20 @@ export class AxisTool {
   }
 
   paint(axis) {
-    const ends = axisEnds({ ...axis, angle_deg: this.angle }), size = 8 / this.editor.viewer.scale;
+    const ends = axisEnds({ ...axis, angle_deg: this.angle }),
+      size = 8 / this.editor.viewer.scale;
     if (!this.layer.children.length) {
       this.line = draw("path", { class: "own" });
       this.handles = ends.map((_, i) => {
-        const handle = draw("circle", { class: "handle corner", r: size, tabindex: "0", role: "slider", "aria-valuemin": -90,
-          "aria-valuemax": 90, "aria-label": i ? "Right end of the axis" : "Left end of the axis" });
+        const handle = draw("circle", {
+          class: "handle corner",
+          r: size,
+          tabindex: "0",
+          role: "slider",
+          "aria-valuemin": -90,
+          "aria-valuemax": 90,
+          "aria-label": i ? "Right end of the axis" : "Left end of the axis",
+        });
         handle.addEventListener("pointerdown", (event) => this.drag(event, axis, i));
         handle.addEventListener("keydown", (event) => this.key(event));
         return handle;
@@ -70,7 +82,7 @@ export class AxisTool {
     this.handles[i].focus();
     const move = (moved) => {
       const [row, col] = this.editor.viewer.place(moved);
-      this.angle = turned(Math.atan2(row - axis.center[0], col - axis.center[1]) * 180 / Math.PI);
+      this.angle = turned((Math.atan2(row - axis.center[0], col - axis.center[1]) * 180) / Math.PI);
       this.paint(axis);
       this.editor.tellAngle(this.angle);
     };

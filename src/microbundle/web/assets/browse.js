@@ -13,7 +13,11 @@ const KINDS = {
 const LONG = 12;
 
 export function icon(kind) {
-  return draw("svg", { class: `icon ${kind}`, viewBox: "0 0 24 24", "aria-hidden": "true" }, draw("path", { d: KINDS[kind][1] }));
+  return draw(
+    "svg",
+    { class: `icon ${kind}`, viewBox: "0 0 24 24", "aria-hidden": "true" },
+    draw("path", { d: KINDS[kind][1] }),
+  );
 }
 
 export class Browser {
@@ -21,14 +25,23 @@ export class Browser {
   constructor(host, open) {
     this.open = open;
     this.crumbs = make("ol", { class: "crumbs" });
-    this.filter = make("input", { type: "search", "aria-label": "Show only names with", placeholder: "Filter", autocomplete: "off" });
+    this.filter = make("input", {
+      type: "search",
+      "aria-label": "Show only names with",
+      placeholder: "Filter",
+      autocomplete: "off",
+    });
     this.filter.addEventListener("input", () => this.list());
     this.names = make("ul", { class: "entries", "aria-label": "Folders and movies" });
     this.whole = make("button", { type: "button", class: "main" }, "Open this folder");
     this.whole.addEventListener("click", () => does(this.whole, () => this.open(this.at)));
     this.told = make("p", { class: "note" });
-    host.append(make("nav", { "aria-label": "Folder" }, this.crumbs), this.filter, this.names, make("p", { class: "choices" },
-      this.whole, this.told));
+    host.append(
+      make("nav", { "aria-label": "Folder" }, this.crumbs),
+      this.filter,
+      this.names,
+      make("p", { class: "choices" }, this.whole, this.told),
+    );
   }
 
   async go(at) {
@@ -36,14 +49,26 @@ export class Browser {
     this.at = found.at;
     this.entries = found.entries;
     this.filter.value = "";
-    const steps = found.crumbs.length && found.crumbs[0].at === "" ? found.crumbs : [{ name: "Folders", at: "" }, ...found.crumbs];
-    this.crumbs.replaceChildren(...steps.map((step, i) => make("li", {}, i === steps.length - 1
-      ? make("span", { "aria-current": "location" }, step.name)
-      : button(step.name, () => this.walk(step.at), { class: "link" }))));
+    const steps =
+      found.crumbs.length && found.crumbs[0].at === "" ? found.crumbs : [{ name: "Folders", at: "" }, ...found.crumbs];
+    this.crumbs.replaceChildren(
+      ...steps.map((step, i) =>
+        make(
+          "li",
+          {},
+          i === steps.length - 1
+            ? make("span", { "aria-current": "location" }, step.name)
+            : button(step.name, () => this.walk(step.at), { class: "link" }),
+        ),
+      ),
+    );
     const movies = this.entries.filter((one) => one.kind === "movie").length;
     this.whole.hidden = !found.openable;
-    this.told.textContent = found.openable ? (movies ? `${movies === 1 ? "The movie" : `All ${movies} movies`} in it, and those in the folders below.`
-      : "All movies in the folders below.") : "Choose a folder, then a movie or the whole folder.";
+    this.told.textContent = found.openable
+      ? movies
+        ? `${movies === 1 ? "The movie" : `All ${movies} movies`} in it, and those in the folders below.`
+        : "All movies in the folders below."
+      : "Choose a folder, then a movie or the whole folder.";
     this.list();
     return found;
   }
@@ -60,17 +85,35 @@ export class Browser {
     this.filter.hidden = this.entries.length < LONG;
     this.names.replaceChildren(...shown.map((one) => this.entry(one)));
     if (!shown.length) {
-      this.names.append(make("li", { class: "note empty" }, this.entries.length ? "No name has this in it."
-        : "There is no movie and no folder here."));
+      this.names.append(
+        make(
+          "li",
+          { class: "note empty" },
+          this.entries.length ? "No name has this in it." : "There is no movie and no folder here.",
+        ),
+      );
     }
   }
 
   entry(one) {
     const into = one.kind === "folder";
-    const pressed = make("button", { type: "button", class: "entry" }, icon(one.kind in KINDS ? one.kind : "folder"),
+    const pressed = make(
+      "button",
+      { type: "button", class: "entry" },
+      icon(one.kind in KINDS ? one.kind : "folder"),
       make("span", { class: "name" }, one.name),
-      make("span", { class: "more" }, [one.kind === "folder" ? "" : KINDS[one.kind]?.[0], into ? "" : bytes(one.bytes),
-        into ? "" : moment(one.modified)].filter(Boolean).join(" · ")));
+      make(
+        "span",
+        { class: "more" },
+        [
+          one.kind === "folder" ? "" : KINDS[one.kind]?.[0],
+          into ? "" : bytes(one.bytes),
+          into ? "" : moment(one.modified),
+        ]
+          .filter(Boolean)
+          .join(" · "),
+      ),
+    );
     pressed.addEventListener("click", () => {
       if (into) this.walk(one.at).catch(trouble);
       else does(pressed, () => this.open(one.at));

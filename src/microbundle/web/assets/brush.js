@@ -29,19 +29,27 @@ export class BrushTool {
     this.leave = () => this.ring.setAttribute("visibility", "hidden");
   }
 
-  get radius() { return this.editor.brushPx; }
+  get radius() {
+    return this.editor.brushPx;
+  }
 
   listeners(act) {
     const { stage } = this.editor.viewer;
-    for (const [event, heard] of [["pointerdown", this.down], ["pointermove", this.move], ["pointerup", this.up],
-      ["pointercancel", this.up], ["pointerleave", this.leave]]) stage[act](event, heard);
+    for (const [event, heard] of [
+      ["pointerdown", this.down],
+      ["pointermove", this.move],
+      ["pointerup", this.up],
+      ["pointercancel", this.up],
+      ["pointerleave", this.leave],
+    ])
+      stage[act](event, heard);
   }
 
   start() {
     this.listeners("addEventListener");
     this.editor.viewer.over.append(this.ring);
     this.cross.start();
-    say(`${this.value ? "Paint" : "Erase"}. Drag over the picture, or move the cross with the arrow keys and press space.`);
+    say(`${this.value ? "Paint" : "Erase"}. Drag over the picture, or move the cross by arrow keys and press space.`);
   }
 
   stop() {
@@ -52,7 +60,12 @@ export class BrushTool {
   }
 
   show([row, col]) {
-    for (const [key, value] of Object.entries({ cx: col + 0.5, cy: row + 0.5, r: this.radius, visibility: "visible" })) {
+    for (const [key, value] of Object.entries({
+      cx: col + 0.5,
+      cy: row + 0.5,
+      r: this.radius,
+      visibility: "visible",
+    })) {
       this.ring.setAttribute(key, value);
     }
   }

@@ -45,8 +45,14 @@ export class Crosshair {
   }
 
   render() {
-    const [y, x] = [this.at[0] + 0.5, this.at[1] + 0.5], arm = 14 / this.viewer.scale, free = 3 / this.viewer.scale;
-    this.shape.setAttribute("d", `M${x - arm} ${y}H${x - free}M${x + free} ${y}H${x + arm}M${x} ${y - arm}V${y - free}M${x} ${y + free}V${y + arm}`);
+    const [y, x] = [this.at[0] + 0.5, this.at[1] + 0.5],
+      arm = 14 / this.viewer.scale,
+      free = 3 / this.viewer.scale;
+    this.shape.setAttribute(
+      "d",
+      `M${x - arm} ${y}H${x - free}M${x + free} ${y}H${x + arm}` +
+        `M${x} ${y - arm}V${y - free}M${x} ${y + free}V${y + arm}`,
+    );
     this.shape.setAttribute("visibility", "visible");
   }
 }

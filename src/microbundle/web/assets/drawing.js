@@ -13,8 +13,11 @@ export class DrawTool {
     this.editor = editor;
     this.points = [];
     this.layer = draw("g", { class: "corners", "pointer-events": "none" });
-    this.cross = new Crosshair(editor.viewer, (at) => this.add(at), { Enter: () => this.close(), Escape: () => this.clear(),
-      Backspace: () => this.back() });
+    this.cross = new Crosshair(editor.viewer, (at) => this.add(at), {
+      Enter: () => this.close(),
+      Escape: () => this.clear(),
+      Backspace: () => this.back(),
+    });
     this.cross.moved = (at) => this.paint(at);
     this.down = (event) => {
       if (event.button !== 0) return;
@@ -71,7 +74,8 @@ export class DrawTool {
       say("An outline needs three corners or more.");
       return;
     }
-    const { rows, cols } = this.editor.viewer.info, made = Raster.fromRings([this.points], rows, cols);
+    const { rows, cols } = this.editor.viewer.info,
+      made = Raster.fromRings([this.points], rows, cols);
     this.points = [];
     this.paint();
     this.editor.setMask(made);
@@ -79,10 +83,15 @@ export class DrawTool {
   }
 
   paint(to) {
-    const size = 5 / this.editor.viewer.scale, line = to && this.points.length ? [...this.points, to] : this.points;
-    this.layer.replaceChildren(draw("path", { class: "own open", d: ringPath([line]).replace("Z", "") }),
-      ...this.points.map(([row, col]) => draw("circle", { class: "corner", cx: col + 0.5, cy: row + 0.5, r: size })));
+    const size = 5 / this.editor.viewer.scale,
+      line = to && this.points.length ? [...this.points, to] : this.points;
+    this.layer.replaceChildren(
+      draw("path", { class: "own open", d: ringPath([line]).replace("Z", "") }),
+      ...this.points.map(([row, col]) => draw("circle", { class: "corner", cx: col + 0.5, cy: row + 0.5, r: size })),
+    );
   }
 
-  render() { this.paint(); }
+  render() {
+    this.paint();
+  }
 }

@@ -16,15 +16,18 @@ export function startDrop(place, open) {
     }
   };
   for (const id of ["files", "folder"]) {
-    byId(id).addEventListener("change", (event) => take([...event.target.files]
-      .map((file) => ({ file, path: file.webkitRelativePath || file.name }))));
+    byId(id).addEventListener("change", (event) =>
+      take([...event.target.files].map((file) => ({ file, path: file.webkitRelativePath || file.name }))),
+    );
   }
   let depth = 0;
   const over = (by) => {
     depth = Math.max(0, depth + by);
     place.classList.toggle("over", depth > 0);
   };
-  document.addEventListener("dragenter", (event) => { if (event.dataTransfer.types.includes("Files")) over(1); });
+  document.addEventListener("dragenter", (event) => {
+    if (event.dataTransfer.types.includes("Files")) over(1);
+  });
   document.addEventListener("dragleave", () => over(-1));
   document.addEventListener("dragover", (event) => event.preventDefault());
   document.addEventListener("drop", (event) => {
@@ -41,13 +44,17 @@ async function dropped(transfer) {
   const found = [];
   const walk = async (entry) => {
     if (entry.isFile) {
-      const file = await new Promise((kept, failed) => { entry.file(kept, failed); });
+      const file = await new Promise((kept, failed) => {
+        entry.file(kept, failed);
+      });
       found.push({ file, path: entry.fullPath.replace(/^\//, "") });
       return;
     }
     const reader = entry.createReader();
     for (;;) {
-      const some = await new Promise((kept, failed) => { reader.readEntries(kept, failed); });
+      const some = await new Promise((kept, failed) => {
+        reader.readEntries(kept, failed);
+      });
       if (!some.length) return;
       for (const one of some) await walk(one);
     }
@@ -57,7 +64,8 @@ async function dropped(transfer) {
 }
 
 function copy(files) {
-  const form = new FormData(), size = files.reduce((sum, { file }) => sum + file.size, 0);
+  const form = new FormData(),
+    size = files.reduce((sum, { file }) => sum + file.size, 0);
   for (const { file, path } of files) form.append("files", file, path);
   byId("upload").hidden = false;
   return new Promise((kept, failed) => {
@@ -69,10 +77,24 @@ function copy(files) {
       byId("sent").value = loaded / total;
       byId("sent-note").textContent = `${counted(files.length, "file")}, ${bytes(loaded)} of ${bytes(size)}`;
     });
-    request.addEventListener("load", () => (request.status < 300 ? kept(request.response.at)
-      : failed(new Refused(request.response?.error?.kind, request.response?.error?.message ?? "The files could not be copied."))));
-    request.addEventListener("error", () => failed(new Refused("Unreachable",
-      "The files could not be copied: the program does not answer, or refused them as too large.")));
+    request.addEventListener("load", () =>
+      request.status < 300
+        ? kept(request.response.at)
+        : failed(
+            new Refused(
+              request.response?.error?.kind,
+              request.response?.error?.message ?? "The files could not be copied.",
+            ),
+          ),
+    );
+    request.addEventListener("error", () =>
+      failed(
+        new Refused(
+          "Unreachable",
+          "The files could not be copied: the program does not answer, or refused them as too large.",
+        ),
+      ),
+    );
     request.send(form);
   });
 }

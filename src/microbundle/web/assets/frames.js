@@ -2,12 +2,23 @@
 
 import { picture } from "./api.js";
 
-const MOST_BYTES = 96e6, LEAST = 12, AT_ONCE = 4;
+const MOST_BYTES = 96e6,
+  LEAST = 12,
+  AT_ONCE = 4;
 
 export class Frames {
   // `address(t)` is where a frame is; `arrived(t)` hears of each that came, `failed(error)` of the first that did not.
   constructor(address, arrived, failed) {
-    Object.assign(this, { address, arrived, failed, kept: new Map(), loading: new Set(), wanted: null, line: [], turn: 0 });
+    Object.assign(this, {
+      address,
+      arrived,
+      failed,
+      kept: new Map(),
+      loading: new Set(),
+      wanted: null,
+      line: [],
+      turn: 0,
+    });
   }
 
   at(t) {

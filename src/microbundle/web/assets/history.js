@@ -9,11 +9,17 @@ export class History {
     this.changed = changed;
   }
 
-  get now() { return this.states[this.at]; }
+  get now() {
+    return this.states[this.at];
+  }
 
-  get canUndo() { return this.at > 0; }
+  get canUndo() {
+    return this.at > 0;
+  }
 
-  get canRedo() { return this.at < this.states.length - 1; }
+  get canRedo() {
+    return this.at < this.states.length - 1;
+  }
 
   push(state) {
     this.states = [...this.states.slice(Math.max(0, this.at + 2 - MOST), this.at + 1), state];
@@ -21,9 +27,13 @@ export class History {
     this.changed();
   }
 
-  undo() { this.move(-1); }
+  undo() {
+    this.move(-1);
+  }
 
-  redo() { this.move(1); }
+  redo() {
+    this.move(1);
+  }
 
   move(by) {
     const to = this.at + by;

@@ -5,14 +5,24 @@
 import { picture } from "./api.js";
 import { Raster } from "./raster.js";
 
-export const AUTOMATIC = { method: "auto", frame: 0, tissue: null, pillars: null, axis_deg: null, extents_px: null, tiles: null };
+export const AUTOMATIC = {
+  method: "auto",
+  frame: 0,
+  tissue: null,
+  pillars: null,
+  axis_deg: null,
+  extents_px: null,
+  tiles: null,
+};
 const STRAIN = ["extents_px", "tiles"];
 
 export async function stateOf(movie) {
-  const state = { ...AUTOMATIC }, { rows, cols } = movie.info;
+  const state = { ...AUTOMATIC },
+    { rows, cols } = movie.info;
   for (const one of movie.decisions) {
     if (one.kind === "use_mask") {
-      const png = await picture(`${movie.base}/masks/${one.name}`), { runs } = await Raster.fromPng(png, rows, cols);
+      const png = await picture(`${movie.base}/masks/${one.name}`),
+        { runs } = await Raster.fromPng(png, rows, cols);
       if (one.name === "tissue") state.tissue = runs;
       else state.pillars = { ...state.pillars, [one.name]: runs };
     } else if (one.kind === "settings") {
@@ -41,25 +51,40 @@ export function settingsOf(state) {
   return out;
 }
 
-export const strainOf = ({ extents_px: extents, tiles }) => ({ ...(extents ? { extents_px: extents } : {}),
-  ...(tiles ? { tiles } : {}) });
+export const strainOf = ({ extents_px: extents, tiles }) => ({
+  ...(extents ? { extents_px: extents } : {}),
+  ...(tiles ? { tiles } : {}),
+});
 
 // Older decisions without what is decided anew here.
 export function withoutMasks(decisions) {
-  return decisions.filter((one) => one.kind !== "use_mask").map((one) => {
-    if (one.kind !== "settings") return one;
-    const { mask, pillars, axis_deg: axis, strain, ...rest } = one.settings;
-    const kept = (part, names) => Object.fromEntries(Object.entries(part ?? {}).filter(([name]) => !names.includes(name)));
-    const left = { pillars: kept(pillars, ["masks"]), strain: kept(strain, STRAIN), mask: kept(mask, ["method", "frame"]) };
-    for (const [name, part] of Object.entries(left)) if (Object.keys(part).length) rest[name] = part;
-    return { ...one, settings: rest };
-  }).filter((one) => one.kind !== "settings" || Object.keys(one.settings).length);
+  return decisions
+    .filter((one) => one.kind !== "use_mask")
+    .map((one) => {
+      if (one.kind !== "settings") return one;
+      const { mask, pillars, axis_deg: axis, strain, ...rest } = one.settings;
+      const kept = (part, names) =>
+        Object.fromEntries(Object.entries(part ?? {}).filter(([name]) => !names.includes(name)));
+      const left = {
+        pillars: kept(pillars, ["masks"]),
+        strain: kept(strain, STRAIN),
+        mask: kept(mask, ["method", "frame"]),
+      };
+      for (const [name, part] of Object.entries(left)) if (Object.keys(part).length) rest[name] = part;
+      return { ...one, settings: rest };
+    })
+    .filter((one) => one.kind !== "settings" || Object.keys(one.settings).length);
 }
 
 export function decided(state, { rows, cols }, sign) {
-  const settings = settingsOf(state), own = { ...(state.tissue ? { tissue: state.tissue } : {}), ...(state.pillars ?? {}) };
+  const settings = settingsOf(state),
+    own = { ...(state.tissue ? { tissue: state.tissue } : {}), ...(state.pillars ?? {}) };
   const decisions = Object.keys(own).map((name) => ({ kind: "use_mask", name, ...sign }));
   if (Object.keys(settings).length) decisions.push({ kind: "settings", settings, ...sign });
-  return { decisions, masks: Object.fromEntries(Object.entries(own).map(([name, runs]) => [name,
-    Raster.fromRuns(runs, rows, cols).toPng()])) };
+  return {
+    decisions,
+    masks: Object.fromEntries(
+      Object.entries(own).map(([name, runs]) => [name, Raster.fromRuns(runs, rows, cols).toPng()]),
+    ),
+  };
 }

@@ -2,10 +2,25 @@
 
 import { byId, make, showTips } from "./shared.js";
 
-export const STATES = { draft: "Not started", queued: "Waiting", running: "Running", done: "Done", stopped: "Stopped",
-  failed: "Failed", todo: "Not yet", preparing: "Being made" };
+export const STATES = {
+  draft: "Not started",
+  queued: "Waiting",
+  running: "Running",
+  done: "Done",
+  stopped: "Stopped",
+  failed: "Failed",
+  todo: "Not yet",
+  preparing: "Being made",
+};
 export const VERDICTS = { pass: "Pass", review: "Review", fail: "Fail" };
-const STATE_LOOK = { running: "info", queued: "info", preparing: "info", done: "pass", stopped: "review", failed: "fail" };
+const STATE_LOOK = {
+  running: "info",
+  queued: "info",
+  preparing: "info",
+  done: "pass",
+  stopped: "review",
+  failed: "fail",
+};
 
 export function badge(element, state) {
   element.textContent = STATES[state] ?? VERDICTS[state] ?? state;
@@ -15,11 +30,14 @@ export function badge(element, state) {
 
 export const madeBadge = (state) => badge(make("span"), state);
 
-export function say(text) { byId("said").textContent = text; }
+export function say(text) {
+  byId("said").textContent = text;
+}
 
 // One trouble at a time stands at the top of the page; `kind` lets its end take it away again.
 export function trouble(error, kind = "") {
-  const box = byId("trouble"), message = typeof error === "string" ? error : error.message;
+  const box = byId("trouble"),
+    message = typeof error === "string" ? error : error.message;
   if (error.name === "AbortError") return;
   const close = make("button", { type: "button", "aria-label": "Close this message" }, "Close");
   close.addEventListener("click", () => calm());
@@ -33,7 +51,8 @@ export function calm(kind) {
   if (kind === undefined || box.dataset.kind === kind) box.hidden = true;
 }
 
-export const connection = (message) => (message ? trouble(message, "connection") : (calm("connection"), calm("Unreachable")));
+export const connection = (message) =>
+  message ? trouble(message, "connection") : (calm("connection"), calm("Unreachable"));
 
 // Runs what a button asks for; the button waits meanwhile, keeping the focus, and what goes wrong is told.
 export async function does(button, action) {
@@ -49,7 +68,9 @@ export async function does(button, action) {
   }
 }
 
-export function onClick(button, action) { button.addEventListener("click", () => does(button, action)); }
+export function onClick(button, action) {
+  button.addEventListener("click", () => does(button, action));
+}
 
 export function button(text, action, attributes = {}) {
   const made = make("button", { type: "button", ...attributes }, text);
@@ -75,7 +96,8 @@ export function duration(seconds) {
   return `${(seconds / 3600).toFixed(1)} hours`;
 }
 
-export const moment = (iso) => (iso ? new Date(iso).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" }) : "");
+export const moment = (iso) =>
+  iso ? new Date(iso).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" }) : "";
 
 export const soon = (wait, action) => {
   let timer;
@@ -98,7 +120,9 @@ export const drafts = {
     try {
       if (value === null) localStorage.removeItem(`microbundle ${key}`);
       else localStorage.setItem(`microbundle ${key}`, JSON.stringify(value));
-    } catch { /* no room: the page still works */ }
+    } catch {
+      /* no room: the page still works */
+    }
   },
 };
 

@@ -8,10 +8,17 @@ import { byId, make, withError } from "./shared.js";
 import { badge, bytes, connection, counted, does, duration, madeBadge, moment, onClick, say, trouble } from "./page.js";
 
 const id = byId("main").dataset.run;
-const picked = new Set(), keeper = new Keeper(id, () => run, heard);
-let run = null, movies = new Map(), table = null, plates = null, settings = null, platesOf = "", filesOf = "";
+const picked = new Set(),
+  keeper = new Keeper(id, () => run, heard);
+let run = null,
+  movies = new Map(),
+  table = null,
+  plates = null,
+  settings = null,
+  platesOf = "",
+  filesOf = "";
 
-// --- what is heard ----------------------------------------------------------------------------------------------------
+// --- what is heard -------------------------------------------------------------------------------------------------
 
 function heard(now) {
   if (now.movies_changed) {
@@ -31,8 +38,13 @@ function render() {
   byId("crumb").textContent = run.title;
   document.title = `${run.title} – microbundle`;
   badge(byId("state"), run.state);
-  byId("what").textContent = [counted(movies.size, "movie"), run.source, run.started ? `started ${moment(run.started)}` : ""]
-    .filter(Boolean).join(" · ");
+  byId("what").textContent = [
+    counted(movies.size, "movie"),
+    run.source,
+    run.started ? `started ${moment(run.started)}` : "",
+  ]
+    .filter(Boolean)
+    .join(" · ");
   byId("command").textContent = run.command;
   renderNext();
   showTable();
@@ -41,42 +53,69 @@ function render() {
   showFiles().catch(trouble);
 }
 
-// --- the next step ------------------------------------------------------------------------------------------------------
+// --- the next step -------------------------------------------------------------------------------------------------
 
 const all = () => [...movies.values()];
 const count = (keep) => all().filter(keep).length;
 const stale = () => count((movie) => movie.stale);
 
 function nextText() {
-  const { total = movies.size, done = 0, seconds_left: left = null } = run.progress ?? {}, missing = run.missing ?? {};
-  const unknown = [missing.fps && !run.settings?.fps ? "the frame rate" : "", missing.um_per_px && !run.settings?.um_per_px
-    ? "the pixel size" : ""].filter(Boolean).join(" and ");
+  const { total = movies.size, done = 0, seconds_left: left = null } = run.progress ?? {},
+    missing = run.missing ?? {};
+  const unknown = [
+    missing.fps && !run.settings?.fps ? "the frame rate" : "",
+    missing.um_per_px && !run.settings?.um_per_px ? "the pixel size" : "",
+  ]
+    .filter(Boolean)
+    .join(" and ");
   switch (run.state) {
-    case "draft": return !movies.size ? "No movie was found here. Open another folder."
-      : unknown ? `Some files do not say ${unknown}. Fill in what you know; what is left empty gives results in frames and pixels.`
-        : "Everything that is needed is known.";
-    case "preparing": return "The example plate is being rendered. That takes a minute.";
-    case "queued": return "Waits until the run before it has ended.";
-    case "running": return `${done} of ${total} measured${left ? `, about ${duration(left)} left` : ""}. You may close this page; `
-      + "the run goes on.";
-    case "stopped": return `${run.message || "Stopped."} ${done} of ${total} are measured, and kept.`;
-    case "failed": return run.message;
+    case "draft":
+      return !movies.size
+        ? "No movie was found here. Open another folder."
+        : unknown
+          ? `Some files do not say ${unknown}. Fill in what you know; left empty, results are in frames and pixels.`
+          : "Everything that is needed is known.";
+    case "preparing":
+      return "The example plate is being rendered. That takes a minute.";
+    case "queued":
+      return "Waits until the run before it has ended.";
+    case "running":
+      return (
+        `${done} of ${total} measured${left ? `, about ${duration(left)} left` : ""}. You may close this page; ` +
+        "the run goes on."
+      );
+    case "stopped":
+      return `${run.message || "Stopped."} ${done} of ${total} are measured, and kept.`;
+    case "failed":
+      return run.message;
     default: {
-      const parts = [["pass", "pass"], ["review", "to be looked at"], ["fail", "not to be trusted"]]
-        .map(([verdict, words]) => [count((movie) => movie.verdict === verdict), words]);
+      const parts = [
+        ["pass", "pass"],
+        ["review", "to be looked at"],
+        ["fail", "not to be trusted"],
+      ].map(([verdict, words]) => [count((movie) => movie.verdict === verdict), words]);
       const broken = count((movie) => movie.state === "failed");
-      const text = [...parts, [broken, "could not be measured"]].filter(([n]) => n).map(([n, words]) => `${n} ${words}`).join(", ");
-      return stale() ? `You have changed ${counted(stale(), "movie")} since. Measure ${stale() === 1 ? "it" : "them"} again.`
+      const text = [...parts, [broken, "could not be measured"]]
+        .filter(([n]) => n)
+        .map(([n, words]) => `${n} ${words}`)
+        .join(", ");
+      return stale()
+        ? `You have changed ${counted(stale(), "movie")} since. Measure ${stale() === 1 ? "it" : "them"} again.`
         : `Measured: ${text}. Open a movie to look at it, or take everything away.`;
     }
   }
 }
 
 function renderNext() {
-  const { state, progress = {} } = run, running = ["running", "preparing"].includes(state);
+  const { state, progress = {} } = run,
+    running = ["running", "preparing"].includes(state);
   byId("next-text").textContent = nextText();
-  const text = { draft: `Start measuring ${counted(movies.size, "movie")}`, stopped: "Go on", failed: "Try again",
-    done: stale() ? `Measure ${counted(stale(), "movie")} again` : null }[state];
+  const text = {
+    draft: `Start measuring ${counted(movies.size, "movie")}`,
+    stopped: "Go on",
+    failed: "Try again",
+    done: stale() ? `Measure ${counted(stale(), "movie")} again` : null,
+  }[state];
   byId("go").hidden = !text || !movies.size;
   byId("go").textContent = text ?? "";
   byId("cancel").hidden = !["running", "queued"].includes(state);
@@ -87,39 +126,74 @@ function renderNext() {
   byId("bar").value = progress.share ?? 0;
   byId("left").textContent = running ? `${Math.floor(100 * (progress.share ?? 0))} %` : "";
   byId("side").disabled = picked.size !== 2;
-  const asked = state === "draft" && movies.size ? [["fps", "Frames per second", "frames/s"], ["um_per_px", "Pixel size", "µm per pixel"]]
-    .filter(([key]) => run.missing?.[key]) : [];
+  const asked =
+    state === "draft" && movies.size
+      ? [
+          ["fps", "Frames per second", "frames/s"],
+          ["um_per_px", "Pixel size", "µm per pixel"],
+        ].filter(([key]) => run.missing?.[key])
+      : [];
   if (byId("ask").dataset.for !== asked.join()) {
     byId("ask").dataset.for = asked.join();
-    byId("ask").replaceChildren(make("div", { class: "ask" }, ...asked.map(([key, label, unit]) => question(key, label, unit))));
+    byId("ask").replaceChildren(
+      make("div", { class: "ask" }, ...asked.map(([key, label, unit]) => question(key, label, unit))),
+    );
   }
 }
 
 function question(key, label, unit) {
-  const input = make("input", { type: "number", min: 0, step: "any", inputmode: "decimal", value: run.settings?.[key] ?? "" });
-  const wrong = make("span", { class: "wrong", role: "alert" }), keep = keeper.typed({ input, wrong });
+  const input = make("input", {
+    type: "number",
+    min: 0,
+    step: "any",
+    inputmode: "decimal",
+    value: run.settings?.[key] ?? "",
+  });
+  const wrong = make("span", { class: "wrong", role: "alert" }),
+    keep = keeper.typed({ input, wrong });
   input.addEventListener("input", () => keep(toSetting(key, input.value === "" ? null : Number(input.value))));
-  return make("label", {}, make("span", {}, `${label} `, make("span", { class: "unit" }, unit)), input,
-    make("span", { class: "note" }, `${counted(run.missing[key], "movie")} without`), wrong);
+  return make(
+    "label",
+    {},
+    make("span", {}, `${label} `, make("span", { class: "unit" }, unit)),
+    input,
+    make("span", { class: "note" }, `${counted(run.missing[key], "movie")} without`),
+    wrong,
+  );
 }
 
-// --- movies -------------------------------------------------------------------------------------------------------------
+// --- movies --------------------------------------------------------------------------------------------------------
 
 function columns() {
   const metrics = run.metrics ?? [];
   return [
-    { id: "movie", label: "Movie", rowHead: true, value: (movie) => movie.movie,
-      cell: (movie) => make("a", { href: pageOf(id, movie.key) }, movie.movie) },
+    {
+      id: "movie",
+      label: "Movie",
+      rowHead: true,
+      value: (movie) => movie.movie,
+      cell: (movie) => make("a", { href: pageOf(id, movie.key) }, movie.movie),
+    },
     { id: "pick", label: "Chosen to compare", look: "pick", cell: pick },
-    ...(run.columns ?? []).map((name) => ({ id: `column ${name}`, label: name, words: true, value: (movie) => movie.columns?.[name] ?? null })),
+    ...(run.columns ?? []).map((name) => ({
+      id: `column ${name}`,
+      label: name,
+      words: true,
+      value: (movie) => movie.columns?.[name] ?? null,
+    })),
     { id: "state", label: "State", words: true, value: (movie) => movie.verdict || movie.state, cell: state },
     { id: "beats", label: "Beats", value: (movie) => movie.beats ?? null },
-    ...metrics.map((one) => ({ id: one.column, label: one.label, unit: one.unit, tip: one.tip,
+    ...metrics.map((one) => ({
+      id: one.column,
+      label: one.label,
+      unit: one.unit,
+      tip: one.tip,
       value: (movie) => movie.metrics?.[one.column] ?? null,
       cell: (movie) => {
         const value = movie.metrics?.[one.column] ?? null;
         return value === null ? "–" : withError(value, movie.se?.[one.column]);
-      } })),
+      },
+    })),
   ];
 }
 
@@ -140,14 +214,20 @@ function state(movie) {
   if (movie.accepted === true) shown.push(" accepted");
   if (movie.accepted === false) shown.push(" rejected");
   if (movie.stale) shown.push(" changed since");
-  const told = movie.state === "running" ? `${movie.stage ?? ""} ${Math.round(100 * (movie.share ?? 0))} %` : movie.message;
+  const told =
+    movie.state === "running" ? `${movie.stage ?? ""} ${Math.round(100 * (movie.share ?? 0))} %` : movie.message;
   if (told) shown.push(make("span", { class: "stage-note" }, told));
   return shown;
 }
 
 function showTable() {
-  table ??= new Table(byId("table"), { label: "Movies", caption: "Press a column’s name to sort by it.", key: (movie) => movie.key,
-    columns: columns(), first: "movie" });
+  table ??= new Table(byId("table"), {
+    label: "Table of movies",
+    caption: "Press a column’s name to sort by it.",
+    key: (movie) => movie.key,
+    columns: columns(),
+    first: "movie",
+  });
   table.setColumns(columns());
   table.show(all());
 }
@@ -174,7 +254,7 @@ function view(plate) {
   return showPlate();
 }
 
-// --- files --------------------------------------------------------------------------------------------------------------
+// --- files ---------------------------------------------------------------------------------------------------------
 
 async function showFiles() {
   const of = `${run.state} ${run.ended} ${count((movie) => movie.state === "done")}`;
@@ -183,12 +263,24 @@ async function showFiles() {
   filesOf = of;
   const { files } = await get(`${ofRun(id)}/outputs`);
   byId("files-section").hidden = !files.length;
-  byId("files").replaceChildren(make("ul", { class: "files" }, ...files.map((file) => make("li", {},
-    make("a", { href: fileOf(id, file.path), download: true }, file.path), " ",
-    make("span", { class: "note" }, [file.what, bytes(file.bytes)].filter(Boolean).join(" · "))))));
+  byId("files").replaceChildren(
+    make(
+      "ul",
+      { class: "files" },
+      ...files.map((file) =>
+        make(
+          "li",
+          {},
+          make("a", { href: fileOf(id, file.path), download: true }, file.path),
+          " ",
+          make("span", { class: "note" }, [file.what, bytes(file.bytes)].filter(Boolean).join(" · ")),
+        ),
+      ),
+    ),
+  );
 }
 
-// --- what is pressed ----------------------------------------------------------------------------------------------------
+// --- what is pressed -----------------------------------------------------------------------------------------------
 
 onClick(byId("go"), async () => {
   await keeper.last;
@@ -200,7 +292,9 @@ onClick(byId("cancel"), async () => {
   say("Stopping. What is measured is kept.");
 });
 onClick(byId("clear"), async () => {
-  const words = count((movie) => movie.state === "done") ? "Its results are moved to the workspace’s folder trash." : "It has no results.";
+  const words = count((movie) => movie.state === "done")
+    ? "Its results are moved to the workspace’s folder trash."
+    : "It has no results.";
   if (!confirm(`Take “${run.title}” off the list? ${words}`)) return;
   await send("DELETE", ofRun(id));
   location.assign("/");
@@ -213,7 +307,9 @@ byId("find").addEventListener("input", () => table?.find(byId("find").value));
 byId("as-table").addEventListener("click", () => view(false).catch(trouble));
 byId("as-plate").addEventListener("click", () => does(byId("as-plate"), () => view(true)));
 byId("side").addEventListener("click", () => {
-  const [a, b] = all().map((movie) => movie.key).filter((key) => picked.has(key));
+  const [a, b] = all()
+    .map((movie) => movie.key)
+    .filter((key) => picked.has(key));
   location.assign(`${pageOf(id)}/side?a=${encodeURIComponent(a)}&b=${encodeURIComponent(b)}`);
 });
 byId("copy").addEventListener("click", async () => {

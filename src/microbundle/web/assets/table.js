@@ -8,7 +8,14 @@ const names = new Intl.Collator(undefined, { numeric: true, sensitivity: "base" 
 export class Table {
   // A column is {id, label, unit, tip, value(row), cell(row), words}; `value` sorts, `cell` gives what stands there.
   constructor(host, { label, caption, key, columns, first }) {
-    Object.assign(this, { key, columns, sorted: { id: first ?? columns[0].id, down: false }, found: "", all: [], most: MOST });
+    Object.assign(this, {
+      key,
+      columns,
+      sorted: { id: first ?? columns[0].id, down: false },
+      found: "",
+      all: [],
+      most: MOST,
+    });
     this.rows = new Map();
     this.head = make("tr");
     this.body = make("tbody");
@@ -17,8 +24,14 @@ export class Table {
       this.most += MOST;
       this.render();
     });
-    host.append(make("div", { class: "scroll all", role: "region", "aria-label": label, tabindex: "0" },
-      make("table", {}, make("caption", {}, caption), make("thead", {}, this.head), this.body)), this.more);
+    host.append(
+      make(
+        "div",
+        { class: "scroll all", role: "region", "aria-label": label, tabindex: "0" },
+        make("table", {}, make("caption", {}, caption), make("thead", {}, this.head), this.body),
+      ),
+      this.more,
+    );
     this.setColumns(columns);
   }
 
@@ -28,17 +41,24 @@ export class Table {
     if (shape === this.shape) return;
     this.shape = shape;
     this.rows.clear();
-    this.head.replaceChildren(...columns.map((column) => {
-      const head = make("th", { scope: "col", class: column.words ? "words" : null });
-      if (column.value) {
-        const pressed = make("button", { type: "button", "data-tip": column.tip ?? null }, column.label,
-          ...(column.unit ? [" ", make("span", { class: "unit" }, column.unit)] : []), make("span", { class: "way", "aria-hidden": "true" }));
-        pressed.addEventListener("click", () => this.sortBy(column.id));
-        head.append(pressed);
-      } else head.append(make("span", { class: "unseen" }, column.label));
-      head.dataset.column = column.id;
-      return head;
-    }));
+    this.head.replaceChildren(
+      ...columns.map((column) => {
+        const head = make("th", { scope: "col", class: column.words ? "words" : null });
+        if (column.value) {
+          const pressed = make(
+            "button",
+            { type: "button", "data-tip": column.tip ?? null },
+            column.label,
+            ...(column.unit ? [" ", make("span", { class: "unit" }, column.unit)] : []),
+            make("span", { class: "way", "aria-hidden": "true" }),
+          );
+          pressed.addEventListener("click", () => this.sortBy(column.id));
+          head.append(pressed);
+        } else head.append(make("span", { class: "unseen" }, column.label));
+        head.dataset.column = column.id;
+        return head;
+      }),
+    );
     this.markSorted();
   }
 
@@ -50,7 +70,8 @@ export class Table {
 
   markSorted() {
     for (const head of this.head.cells) {
-      if (head.dataset.column === this.sorted.id) head.setAttribute("aria-sort", this.sorted.down ? "descending" : "ascending");
+      if (head.dataset.column === this.sorted.id)
+        head.setAttribute("aria-sort", this.sorted.down ? "descending" : "ascending");
       else head.removeAttribute("aria-sort");
     }
   }
@@ -67,24 +88,37 @@ export class Table {
 
   ordered() {
     const column = this.columns.find((one) => one.id === this.sorted.id) ?? this.columns.find((one) => one.value);
-    const sign = this.sorted.down ? -1 : 1, missing = (value) => value === null || value === undefined || value === "";
-    const words = (row) => this.columns.map((one) => one.value?.(row) ?? "").join(" ").toLowerCase();
+    const sign = this.sorted.down ? -1 : 1,
+      missing = (value) => value === null || value === undefined || value === "";
+    const words = (row) =>
+      this.columns
+        .map((one) => one.value?.(row) ?? "")
+        .join(" ")
+        .toLowerCase();
     const kept = this.found ? this.all.filter((row) => words(row).includes(this.found)) : [...this.all];
-    return kept.map((row) => [column.value(row), row]).sort(([a], [b]) => {
-      if (missing(a) || missing(b)) return Number(missing(a)) - Number(missing(b));
-      return sign * (typeof a === "number" && typeof b === "number" ? a - b : names.compare(a, b));
-    }).map(([, row]) => row);
+    return kept
+      .map((row) => [column.value(row), row])
+      .sort(([a], [b]) => {
+        if (missing(a) || missing(b)) return Number(missing(a)) - Number(missing(b));
+        return sign * (typeof a === "number" && typeof b === "number" ? a - b : names.compare(a, b));
+      })
+      .map(([, row]) => row);
   }
 
   render() {
-    const ordered = this.ordered(), shown = ordered.slice(0, this.most), drawn = [];
+    const ordered = this.ordered(),
+      shown = ordered.slice(0, this.most),
+      drawn = [];
     for (const row of shown) {
-      const key = this.key(row), signature = JSON.stringify(row);
+      const key = this.key(row),
+        signature = JSON.stringify(row);
       let kept = this.rows.get(key);
       if (!kept || kept.signature !== signature) {
         const cells = this.columns.map((column) => {
-          const content = column.cell ? column.cell(row) : column.value(row) ?? "–";
-          const kind = column.rowHead ? make("th", { scope: "row" }) : make("td", { class: column.words ? "words" : column.look ?? null });
+          const content = column.cell ? column.cell(row) : (column.value(row) ?? "–");
+          const kind = column.rowHead
+            ? make("th", { scope: "row" })
+            : make("td", { class: column.words ? "words" : (column.look ?? null) });
           kind.append(...[content].flat());
           return kind;
         });

@@ -9,12 +9,14 @@ const SIDES = ["upper side", "lower side", "left side", "right side"];
 
 // Turning about the tissue's centre, as the settings count it.
 export function toImage([row, col], { center, direction: [dr, dc] }) {
-  const r = row - center[0], c = col - center[1];
+  const r = row - center[0],
+    c = col - center[1];
   return [center[0] + r * dc + c * dr, center[1] - r * dr + c * dc];
 }
 
 export function toTissue([row, col], { center, direction: [dr, dc] }) {
-  const r = row - center[0], c = col - center[1];
+  const r = row - center[0],
+    c = col - center[1];
   return [center[0] + r * dc - c * dr, center[1] + r * dr + c * dc];
 }
 
@@ -30,7 +32,9 @@ export class TilesTool {
     say("Sub-domains. Drag the rectangle or its sides, or tab to them and press the arrow keys.");
   }
 
-  stop() { this.layer.remove(); }
+  stop() {
+    this.layer.remove();
+  }
 
   render() {
     if (this.dragging) return;
@@ -45,15 +49,32 @@ export class TilesTool {
   }
 
   paint() {
-    const [r0, r1, c0, c1] = this.extents, place = (row, col) => toImage([row, col], this.axis), size = 8 / this.editor.viewer.scale;
-    const spots = [[r0, (c0 + c1) / 2], [r1, (c0 + c1) / 2], [(r0 + r1) / 2, c0], [(r0 + r1) / 2, c1]];
+    const [r0, r1, c0, c1] = this.extents,
+      place = (row, col) => toImage([row, col], this.axis),
+      size = 8 / this.editor.viewer.scale;
+    const spots = [
+      [r0, (c0 + c1) / 2],
+      [r1, (c0 + c1) / 2],
+      [(r0 + r1) / 2, c0],
+      [(r0 + r1) / 2, c1],
+    ];
     if (!this.layer.children.length) {
-      this.box = draw("path", { class: "own box", tabindex: "0", role: "button", "aria-label": "Whole rectangle; arrow keys move it" });
+      this.box = draw("path", {
+        class: "own box",
+        tabindex: "0",
+        role: "button",
+        "aria-label": "Whole rectangle; arrow keys move it",
+      });
       this.box.addEventListener("pointerdown", (event) => this.drag(event, [0, 1, 2, 3]));
       this.box.addEventListener("keydown", (event) => this.key(event, [0, 1, 2, 3]));
       this.handles = SIDES.map((name, i) => {
-        const handle = draw("circle", { class: "handle corner", r: size, tabindex: "0", role: "button",
-          "aria-label": `${name}; arrow keys move it` });
+        const handle = draw("circle", {
+          class: "handle corner",
+          r: size,
+          tabindex: "0",
+          role: "button",
+          "aria-label": `${name}; arrow keys move it`,
+        });
         handle.addEventListener("pointerdown", (event) => this.drag(event, [i]));
         handle.addEventListener("keydown", (event) => this.key(event, [i]));
         return handle;
@@ -73,7 +94,8 @@ export class TilesTool {
     const out = [...start];
     for (const i of which) out[i] += i < 2 ? down : right;
     if (which.length === 1) {
-      const [i] = which, other = out[i ^ 1];
+      const [i] = which,
+        other = out[i ^ 1];
       out[i] = i % 2 ? Math.max(out[i], other + LEAST_PX) : Math.min(out[i], other - LEAST_PX);
     }
     return out.map((one) => Math.round(10 * one) / 10);
@@ -84,7 +106,8 @@ export class TilesTool {
     event.stopPropagation();
     this.dragging = true;
     event.target.focus();
-    const from = toTissue(this.editor.viewer.place(event), this.axis), start = [...this.extents];
+    const from = toTissue(this.editor.viewer.place(event), this.axis),
+      start = [...this.extents];
     const move = (now) => {
       const to = toTissue(this.editor.viewer.place(now), this.axis);
       this.extents = this.moved(start, which, [to[0] - from[0], to[1] - from[1]]);
@@ -106,7 +129,11 @@ export class TilesTool {
     event.preventDefault();
     event.stopPropagation();
     const size = event.shiftKey ? 10 : 1;
-    this.extents = this.moved(this.extents, which, by.map((one) => one * size));
+    this.extents = this.moved(
+      this.extents,
+      which,
+      by.map((one) => one * size),
+    );
     this.paint();
     this.editor.setExtents(this.extents);
   }

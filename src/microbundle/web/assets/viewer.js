@@ -5,33 +5,58 @@ import { Contrast } from "./contrast.js";
 import { State, draw, make } from "./shared.js";
 import { button, trouble } from "./page.js";
 
-const AHEAD = 16, WIDTHS = [256, 512, 768, 1024, 1536, 2048], TALLEST = 0.68, UNKNOWN_RATE = 25;
-const SPEEDS = [[0.1, "1/10"], [0.25, "1/4"], [0.5, "1/2"], [1, "real"], [2, "2 ×"]];
+const AHEAD = 16,
+  WIDTHS = [256, 512, 768, 1024, 1536, 2048],
+  TALLEST = 0.68,
+  UNKNOWN_RATE = 25;
+const SPEEDS = [
+  [0.1, "1/10"],
+  [0.25, "1/4"],
+  [0.5, "1/2"],
+  [1, "real"],
+  [2, "2 ×"],
+];
 const ZOOMS = [1, 1.5, 2, 3, 4, 6, 8];
 
 export class Viewer {
-  // `base` is the address of frame and grey; `info` tells frames, rows, cols, frames_per_s; `state` (frame) may be shared.
+  // `base` is the address of frame and grey; `info`: frames, rows, cols, frames_per_s; `state` (frame) may be shared.
   constructor(host, { base, info, label, state = new State({ frame: 0 }), controls = true, tools = [] }) {
     Object.assign(this, { base, info, state, zoom: 1, playing: null, speed: 1, look: {}, shown: null });
     this.canvas = make("canvas", { width: info.cols, height: info.rows });
     this.tint = make("canvas", { width: info.cols, height: info.rows, class: "tint" });
     this.over = draw("svg", { class: "over", viewBox: `0 0 ${info.cols} ${info.rows}` });
-    this.stage = make("div", { class: "stage", tabindex: "0", role: "application", "aria-label": label }, this.canvas, this.tint, this.over);
+    this.stage = make(
+      "div",
+      { class: "stage", tabindex: "0", role: "application", "aria-label": label },
+      this.canvas,
+      this.tint,
+      this.over,
+    );
     this.view = make("div", { class: "view" }, this.stage);
     this.root = make("div", { class: "viewer" }, this.view);
     host.append(this.root);
-    this.frames = new Frames((t) => this.address(t), (t) => this.arrived(t), trouble);
+    this.frames = new Frames(
+      (t) => this.address(t),
+      (t) => this.arrived(t),
+      trouble,
+    );
     this.addPlayer(controls, tools);
-    this.state.listen((changed) => { if (changed.has("frame")) this.render(); });
+    this.state.listen((changed) => {
+      if (changed.has("frame")) this.render();
+    });
     this.stage.addEventListener("keydown", (event) => this.key(event));
     new ResizeObserver(() => this.resize()).observe(this.view);
     this.resize();
     this.render();
   }
 
-  get last() { return Math.max(0, this.info.frames - 1); }
+  get last() {
+    return Math.max(0, this.info.frames - 1);
+  }
 
-  get frame() { return this.state.values.frame; }
+  get frame() {
+    return this.state.values.frame;
+  }
 
   address(t) {
     const asked = new URLSearchParams({ t, width: this.width });
@@ -44,17 +69,30 @@ export class Viewer {
     return `frame ${t}${rate ? `, ${(t / rate).toFixed(3)} s` : ""}`;
   }
 
-  // --- controls -------------------------------------------------------------------------------------------------------
+  // --- controls ----------------------------------------------------------------------------------------------------
 
   addPlayer(controls, tools) {
     this.play = make("button", { type: "button", "aria-label": "Play" }, "▶");
     this.play.addEventListener("click", () => this.toggle());
-    this.slider = make("input", { type: "range", min: 0, max: this.last, value: this.frame, step: 1, "aria-label": "Frame" });
+    this.slider = make("input", {
+      type: "range",
+      min: 0,
+      max: this.last,
+      value: this.frame,
+      step: 1,
+      "aria-label": "Frame",
+    });
     this.slider.addEventListener("input", () => this.go(Number(this.slider.value)));
-    this.slider.addEventListener("keydown", (event) => { if (event.key === " ") this.key(event); });
+    this.slider.addEventListener("keydown", (event) => {
+      if (event.key === " ") this.key(event);
+    });
     this.told = make("output");
     if (controls) this.root.append(make("div", { class: "player" }, this.play, this.slider, this.told));
-    const speed = make("select", {}, ...SPEEDS.map(([value, text]) => make("option", { value, selected: value === 1 }, text)));
+    const speed = make(
+      "select",
+      {},
+      ...SPEEDS.map(([value, text]) => make("option", { value, selected: value === 1 }, text)),
+    );
     speed.addEventListener("change", () => {
       this.speed = Number(speed.value);
       this.began = null;
@@ -63,11 +101,17 @@ export class Viewer {
       this.look = look;
       this.again();
     });
-    const zoom = make("span", { role: "group", "aria-label": "Zoom", class: "switch" },
-      button("−", () => this.setZoom(-1), { "aria-label": "Zoom out" }), button("Fit", () => this.setZoom(0)),
-      button("+", () => this.setZoom(1), { "aria-label": "Zoom in" }));
-    this.root.append(make("div", { class: "controls" }, ...(controls ? [make("label", {}, "Speed ", speed)] : []), zoom, ...tools),
-      this.contrast.root);
+    const zoom = make(
+      "span",
+      { role: "group", "aria-label": "Zoom", class: "switch" },
+      button("−", () => this.setZoom(-1), { "aria-label": "Zoom out" }),
+      button("Fit", () => this.setZoom(0)),
+      button("+", () => this.setZoom(1), { "aria-label": "Zoom in" }),
+    );
+    this.root.append(
+      make("div", { class: "controls" }, ...(controls ? [make("label", {}, "Speed ", speed)] : []), zoom, ...tools),
+      this.contrast.root,
+    );
   }
 
   key(event) {
@@ -99,7 +143,7 @@ export class Viewer {
     const step = (now) => {
       const rate = (this.info.frames_per_s ?? UNKNOWN_RATE) * this.speed;
       this.began ??= { now, frame: this.frame };
-      const next = (this.began.frame + Math.floor((now - this.began.now) / 1000 * rate)) % this.info.frames;
+      const next = (this.began.frame + Math.floor(((now - this.began.now) / 1000) * rate)) % this.info.frames;
       // The clock waits for frames that are not there yet: every one is shown.
       if (this.frames.at(next)) this.state.set({ frame: next });
       else {
@@ -121,9 +165,11 @@ export class Viewer {
     this.play.setAttribute("aria-label", "Play");
   }
 
-  // --- picture --------------------------------------------------------------------------------------------------------
+  // --- picture -----------------------------------------------------------------------------------------------------
 
-  following(t) { return Array.from({ length: Math.min(AHEAD, this.last) }, (_, n) => (t + 1 + n) % this.info.frames); }
+  following(t) {
+    return Array.from({ length: Math.min(AHEAD, this.last) }, (_, n) => (t + 1 + n) % this.info.frames);
+  }
 
   render() {
     const t = this.frame;
@@ -135,7 +181,8 @@ export class Viewer {
   }
 
   arrived(t) {
-    if (t === this.frame || (this.shown !== null && Math.abs(t - this.frame) < Math.abs(this.shown - this.frame))) this.paint(t);
+    if (t === this.frame || (this.shown !== null && Math.abs(t - this.frame) < Math.abs(this.shown - this.frame)))
+      this.paint(t);
   }
 
   paint(t) {
@@ -155,11 +202,14 @@ export class Viewer {
     this.frames.want(this.frame);
   }
 
-  // --- size -----------------------------------------------------------------------------------------------------------
+  // --- size --------------------------------------------------------------------------------------------------------
 
   setZoom(by) {
-    const i = ZOOMS.indexOf(this.zoom), middle = [(this.view.scrollLeft + this.view.clientWidth / 2) / this.stage.clientWidth,
-      (this.view.scrollTop + this.view.clientHeight / 2) / this.stage.clientHeight];
+    const i = ZOOMS.indexOf(this.zoom),
+      middle = [
+        (this.view.scrollLeft + this.view.clientWidth / 2) / this.stage.clientWidth,
+        (this.view.scrollTop + this.view.clientHeight / 2) / this.stage.clientHeight,
+      ];
     this.zoom = by === 0 ? 1 : ZOOMS[Math.max(0, Math.min(ZOOMS.length - 1, i + by))];
     this.resize();
     this.view.scrollLeft = middle[0] * this.stage.clientWidth - this.view.clientWidth / 2;
@@ -167,10 +217,12 @@ export class Viewer {
   }
 
   resize() {
-    const { rows, cols } = this.info, room = this.view.clientWidth;
+    const { rows, cols } = this.info,
+      room = this.view.clientWidth;
     if (!room) return;
-    const fit = Math.min(room, innerHeight * TALLEST * cols / rows), size = Math.round(fit * this.zoom);
-    this.view.style.maxHeight = `${Math.ceil(fit * rows / cols) + 2}px`;
+    const fit = Math.min(room, (innerHeight * TALLEST * cols) / rows),
+      size = Math.round(fit * this.zoom);
+    this.view.style.maxHeight = `${Math.ceil((fit * rows) / cols) + 2}px`;
     this.stage.style.width = size === Math.round(room) ? "100%" : `${size}px`;
     this.stage.style.aspectRatio = `${cols} / ${rows}`;
     this.scale = size / cols; // Screen pixels for one of the movie's.
@@ -187,7 +239,10 @@ export class Viewer {
   // Row and column under the pointer; whole numbers are the middles of pixels.
   place(event) {
     const box = this.stage.getBoundingClientRect();
-    return [(event.clientY - box.top) / box.height * this.info.rows - 0.5, (event.clientX - box.left) / box.width * this.info.cols - 0.5];
+    return [
+      ((event.clientY - box.top) / box.height) * this.info.rows - 0.5,
+      ((event.clientX - box.left) / box.width) * this.info.cols - 0.5,
+    ];
   }
 
   inside([row, col]) {
