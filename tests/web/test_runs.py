@@ -311,8 +311,10 @@ def test_a_full_disk_is_told_and_takes_nothing_with_it(serve: Serve, slow: Path,
     with (small_disk / "filler").open("ab", buffering=0) as stream, suppress(OSError):
         while True:
             stream.write(b"x" * 4096)
-    answer = client.patch(f"/api/runs/{id}", json={"title": "Still here"})
-    assert (answer.status_code, said(client.get(f"/api/runs/{id}"))["state"]) in ((200, "done"), (507, "done"))
+    answer = client.patch(f"/api/runs/{id}", json={"title": "Another name"})
+    assert (answer.status_code, answer.json()["error"]["kind"]) == (507, "DiskFull")
+    view = said(client.get(f"/api/runs/{id}"))
+    assert (view["state"], view["title"]) == ("done", "M0.tif")
     assert client.post(f"/api/runs/{id}/start", json={}).status_code == 507
     (small_disk / "filler").unlink()
     subprocess.run(["mount", "-o", "remount,size=20m", small_disk], check=True)

@@ -25,6 +25,8 @@ CHANGE = "x-microbundle"
 MOST_BYTES = 32 * 2**20
 """Of the body of a request, but for uploads."""
 UPLOADS = "/api/uploads"
+KEPT_S = 30 * 86400
+"""How long a browser keeps the token, so that a page can be opened again after it was closed."""
 POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
           "frame-src 'self'; media-src 'self' blob:; font-src 'none'; base-uri 'none'; form-action 'none'; "
           "frame-ancestors 'none'")
@@ -113,7 +115,7 @@ class Guard:
         rest = urlencode([(name, value) for name, value in query if name != "token"])
         path = "/" + scope["path"].lstrip("/")  # "//elsewhere" would be another site
         out = RedirectResponse(f"{path}?{rest}" if rest else path, 303)
-        out.set_cookie(self.cookie, self.token, httponly=True, samesite="strict", path="/")
+        out.set_cookie(self.cookie, self.token, httponly=True, samesite="strict", path="/", max_age=KEPT_S)
         return out
 
     def _knows(self, headers: Headers) -> bool:

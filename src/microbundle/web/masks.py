@@ -45,6 +45,8 @@ class Wanted:
 
     config: Config
     drawn: dict[str, Bools]
+    addresses: dict[str, str]
+    """The pictures that were drawn, as they came."""
     no_pillars: bool
     """All pillars were taken away by hand."""
 
@@ -96,7 +98,8 @@ def wanted(shown: Shown, config: Config, asked: dict[str, Any]) -> Wanted:
         if not NAME.fullmatch(name) or name == "tissue":
             raise Refused(400, "BadRequest", f"{name[:50]}: expected a pillar's name, such as pillar_1")
         drawn[name] = picture(drawing, shown.movie.shape)
-    return Wanted(Config.from_dict(settings, source="settings"), drawn,
+    came = {name: pillars[name] if name in pillars else asked["tissue_png"] for name in drawn}
+    return Wanted(Config.from_dict(settings, source="settings"), drawn, came,
                   asked.get("pillar_pngs") is not None and not pillars)
 
 
@@ -118,8 +121,8 @@ def measure(found: Found, shown: Shown, asked: Wanted) -> dict[str, Any]:
         return out | _judged([_failure(error)])
     outer, holes = polygons(masks.tissue)
     axis = masks.axis
-    out |= {"method": masks.method, "tissue": outer, "holes": holes, "tissue_png": address(masks.tissue),
-            "stability": masks.stability,
+    out |= {"method": masks.method, "tissue": outer, "holes": holes,
+            "tissue_png": asked.addresses.get("tissue") or address(masks.tissue), "stability": masks.stability,
             "axis": {"center": rounded(axis.center_px, 6), "direction": rounded(axis.direction, 8),
                      "angle_deg": axis.angle_deg, "length_px": axis.length_px, "width_px": axis.width_center_px}}
     findings += masks.findings
@@ -128,8 +131,8 @@ def measure(found: Found, shown: Shown, asked: Wanted) -> dict[str, Any]:
             pillars = found.pillars(shown, movie, masks, config)
             findings += pillars.findings
             out["pillars"] = [
-                {"name": f"pillar_{name}", "polygon": (polygons(mask)[0] or [[]])[0], "png": address(mask),
-                 "source": source, "score": score}
+                {"name": f"pillar_{name}", "polygon": (polygons(mask)[0] or [[]])[0],
+                 "png": asked.addresses.get(f"pillar_{name}") or address(mask), "source": source, "score": score}
                 for name, mask, source, score in zip(pillars.names, pillars.masks, pillars.source, pillars.score,
                                                      strict=True)]
     except CannotMeasure as error:
@@ -194,7 +197,7 @@ def picture(text: Any, shape: tuple[int, int]) -> Bools:
 
 def png(mask: Bools) -> bytes:
     """Write a mask as PNG."""
-    return cv2.imencode(".png", np.asarray(mask, np.uint8) * 255, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+    return cv2.imencode(".png", np.asarray(mask, np.uint8) * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])[1].tobytes()
 
 
 def address(mask: Bools) -> str:

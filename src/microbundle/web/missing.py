@@ -50,4 +50,4 @@ def _find_out(desk: Desk, id: str, plan: Plan) -> None:
             count["um_per_px"] += not (given[1] or known[where][1])
     with _LOCK:
         desk.kept["missing"][id] = plan, count
-    desk.runs.version += 1
+    desk.runs.touch()

@@ -48,6 +48,8 @@ class Record:
     """Where the events of its last process begin in their file, in bytes."""
     log_from: int = 0
     cancelled: bool = False
+    count: int | None = None
+    """Movies of its plan, where that was made."""
     wells: int | None = None
     """For the example: wells of its plate."""
 

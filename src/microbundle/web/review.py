@@ -79,6 +79,7 @@ class Reviews:
         result = result_of(desk.runs.home(case.run), case.key)
         what = {"kind": "note", "text": NOT_SURE} if accept is None else {"kind": "verdict", "accept": accept}
         decided.add(result, {**what, "why": why, "by": case.reviewer, "at": now()})
+        desk.runs.touch()
 
     def _judged(self, desk: Desk, run: str, task: Task, reviewer: str) -> bool:
         listed, _ = decided.read(result_of(desk.runs.home(run), task.key))

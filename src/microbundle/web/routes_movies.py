@@ -140,6 +140,7 @@ async def decide(request: Request) -> Response:
             drawn = {name: decided.whole_mask(masks.picture(png, shown.movie.shape), shown.whole, shown.crop_px)
                      for name, png in pictures.items()}
         listed, now = decided.write(result, asked.get("decisions"), drawn, version)
+        desk.runs.touch()
         return {"decisions": listed, "version": now}
 
     return answer(await desk.do("light", work))

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..batch.collect import KEY_METRICS, UNITS, read_summary
-from ..batch.plan import Plan, Task
+from ..batch.plan import Task
 from ..batch.state import RESULTS, STATUS, TABLE, Status, read_status
 from ..config import Config
 from ..decisions import sidecar_of
@@ -63,11 +63,8 @@ class Views:
             return known | {"movies": record.wells, "done": 0, "failed": 0, "seconds_left": None,
                             "share": self.runs.preparing.get(record.id, 0.0)}
         progress = self.runs.progress(record.id)
-        movies = progress.total or None
-        if movies is None and (plan := self._plan_or_none(record)) is not None:
-            movies = len(plan.tasks)
         states = [one.state for one in progress.movies.values()]
-        return known | {"movies": movies, "done": progress.unchanged + states.count("done"),
+        return known | {"movies": record.count, "done": progress.unchanged + states.count("done"),
                         "failed": states.count("failed"),
                         "share": 1.0 if record.state == "done" else round(progress.share, 4),
                         "seconds_left": progress.seconds_left(datetime.now(UTC)) if record.state == "running" else None}
@@ -145,12 +142,6 @@ class Views:
         if found is None:
             raise not_there(f"{key[:100]}: there is no such movie in this run")
         return found
-
-    def _plan_or_none(self, record: Record) -> Plan | None:
-        try:
-            return self.runs.plan(record.id)
-        except (MicrobundleError, Refused):
-            return None
 
     def _kept_tasks(self, home: Home) -> list[Task]:
         """The movies that a run has measured, where its source is gone."""

@@ -80,9 +80,19 @@ class Runs:
         """What the events say of a run, up to now."""
         with self._lock:
             progress = self._progress[id]
-            if self._records[id].state == "running":
-                progress.update()
+            progress.update()
             return progress
+
+    def news(self, id: str | None = None) -> tuple[int, ...]:
+        """What changes with every change of a run, or of any run: cheap to ask for often."""
+        with self._lock:
+            followed = [key for key, one in self._records.items() if one.state == "running" and id in (None, key)]
+            return self.version, *(self.progress(key).version for key in followed)
+
+    def touch(self) -> None:
+        """Note that something changed that pages show."""
+        with self._lock:
+            self.version += 1
 
     def plan(self, id: str) -> Plan:
         """The movies of a run. Raises MicrobundleError where its source is gone or wrong."""
@@ -113,8 +123,7 @@ class Runs:
         plan = self._planned(record)
         with self._lock:
             self._plans[record.id] = plan
-            self._keep(record)
-        return record
+            return self._keep(replace(record, count=len(plan.tasks)), must=True)
 
     def open_example(self, wells: int) -> Record:
         """Find the run of the example plate, or render that first, in the background."""
@@ -124,7 +133,7 @@ class Runs:
             if known:
                 return max(known, key=lambda one: one.created)
             record = replace(self._draft(f"Example plate, {wells} wells", path), state="preparing", wells=wells)
-            self._keep(record)
+            self._keep(record, must=True)
         self._prepare(record)
         return record
 
@@ -147,9 +156,11 @@ class Runs:
         with self._lock:
             if self.get(id) != record:
                 raise Refused(409, "Changed", "this run was changed in another window meanwhile; look at it again")
+            record = self._keep(replace(record, **wanted, count=record.count if plan is None else len(plan.tasks)),
+                                must=True)
             if plan is not None:
                 self._plans[id] = plan
-            return self._keep(replace(record, **wanted))
+            return record
 
     def start(self, id: str) -> Record:
         """Put a run into the queue. Raises MicrobundleError where its plan is wrong, OutputError on a full disk."""
@@ -162,7 +173,7 @@ class Runs:
             if self.get(id).state in ACTIVE:
                 raise Refused(409, "Busy", "this run is under way, or waits for its turn, already")
             self._keep(replace(record, state="queued", queued=now(), started=None, ended=None, message="", code=None,
-                               pid=None, cancelled=False))
+                               pid=None, cancelled=False, count=len(plan.tasks)), must=True)
         self.look()
         return self.get(id)
 
@@ -262,8 +273,7 @@ class Runs:
         def work() -> None:
             try:
                 render(Path(record.source).parent, record.wells or 24, told(record.id))
-                self._planned(record)
-                done = replace(record, state="draft")
+                done = replace(record, state="draft", count=len(self._planned(record).tasks))
             except Exception as error:
                 if not isinstance(error, MicrobundleError | OSError | Refused):
                     log.exception("example")
@@ -275,23 +285,24 @@ class Runs:
         def told(id: str) -> Callable[[float], None]:
             def tell(share: float) -> None:
                 self.preparing[id] = share
-                self.version += 1
+                self.touch()
 
             return tell
 
         self.preparing[record.id] = 0.0
         threading.Thread(target=work, daemon=True, name=f"example {record.id}").start()
 
-    def _keep(self, record: Record) -> Record:
-        """Write a record, and take it in. A full disk does not make the app forget: it is taken in all the same."""
-        if record.id not in self._progress:
-            self._progress[record.id] = Progress(self.home(record.id).events, record.events_from)
+    def _keep(self, record: Record, *, must: bool = False) -> Record:
+        """Write a record, and take it in. What became of a process is taken in even where the disk is full, for it can
+        be found out again; what a person asks for (`must`) is not. Raises OSError for that."""
         try:
             write_record(self.home(record.id), record)
         except OSError as error:
-            if record.id not in self._records or record.state == "queued":
+            if must:
                 raise
             log.warning("%s: the record cannot be written: %s", record.id, error)
+        if record.id not in self._progress:
+            self._progress[record.id] = Progress(self.home(record.id).events, record.events_from)
         self._records[record.id] = record
         self.version += 1
         return record

@@ -20,6 +20,8 @@ from .desk import Desk
 from .missing import missing
 
 BETWEEN_S = 0.5
+IDLE_S = 3.0
+"""How often a run is looked at of which nothing is heard."""
 QUIET_S = 15.0
 """After so long without news, an empty line shows that the connection lives."""
 FEW = 40
@@ -34,7 +36,7 @@ async def run_told(desk: Desk, id: str) -> dict[str, Any]:
 
 def run_events(desk: Desk, id: str) -> StreamingResponse:
     """Stream a run."""
-    return _stream(desk, "run", lambda: run_told(desk, id), _changes)
+    return _stream(desk, "run", lambda: run_told(desk, id), _changes, lambda: desk.runs.news(id))
 
 
 def list_events(desk: Desk) -> StreamingResponse:
@@ -42,7 +44,7 @@ def list_events(desk: Desk) -> StreamingResponse:
     async def look() -> dict[str, Any]:
         return {"runs": await desk.do("light", desk.views.listed)}
 
-    return _stream(desk, "runs", look, lambda _, new: new)
+    return _stream(desk, "runs", look, lambda _, new: new, lambda: desk.runs.news())
 
 
 def _changes(old: dict[str, Any] | None, new: dict[str, Any]) -> dict[str, Any]:
@@ -54,21 +56,25 @@ def _changes(old: dict[str, Any] | None, new: dict[str, Any]) -> dict[str, Any]:
 
 
 def _stream(desk: Desk, name: str, look: Callable[[], Awaitable[dict[str, Any]]],
-            changes: Callable[[dict[str, Any] | None, dict[str, Any]], dict[str, Any]]) -> StreamingResponse:
+            changes: Callable[[dict[str, Any] | None, dict[str, Any]], dict[str, Any]],
+            news: Callable[[], object]) -> StreamingResponse:
     async def events() -> AsyncIterator[str]:
-        sent, last = None, time.monotonic()
+        sent, heard, said_s, looked_s = None, None, time.monotonic(), 0.0
         while not desk.stopping:
-            try:
-                found = plain(await look())
-            except Refused as error:  # the run was removed
-                yield _event("gone", {"error": {"kind": error.kind, "message": str(error)}})
-                return
-            if found != sent:
-                yield _event(name, changes(sent, found))
-                sent, last = found, time.monotonic()
-            elif time.monotonic() - last > QUIET_S:
+            now, told = time.monotonic(), await desk.do("light", news)
+            if told != heard or now - looked_s > IDLE_S:  # files may change without the app, but seldom
+                heard, looked_s = told, now
+                try:
+                    found = plain(await look())
+                except Refused as error:  # the run was removed
+                    yield _event("gone", {"error": {"kind": error.kind, "message": str(error)}})
+                    return
+                if found != sent:
+                    yield _event(name, changes(sent, found))
+                    sent, said_s = found, now
+            if now - said_s > QUIET_S:
                 yield ": still here\n\n"
-                last = time.monotonic()
+                said_s = now
             await asyncio.sleep(BETWEEN_S)
 
     return StreamingResponse(events(), media_type="text/event-stream", headers={"x-accel-buffering": "no"})
