@@ -18,7 +18,7 @@ from pathlib import Path
 
 from ..errors import ConfigError
 from ..events import Completed, Failed, Finished, Planned, Progressed, Started, TellBatch, ignore
-from .collect import write_tables
+from .collect import Extras, write_tables
 from .plan import Plan, Task, fingerprint
 from .state import Status, clear_partial, current, guarded, run_folder, write_status
 from .work import Job, job_of, serve
@@ -52,18 +52,21 @@ class Outcome:
 
 
 def run_batch(plan: Plan, out: Path | str, *, workers: int | None = None, retry: bool = False,
-              tell: TellBatch = ignore) -> Outcome:
+              extras: Extras | None = None, tell: TellBatch = ignore) -> Outcome:
     """Measure the movies of a plan into a folder, and write the tables over all of them.
 
     `workers` are processes, by default one for each processor. Movies that an earlier run has done into this folder,
     with the same files, settings and version, are not measured again; with `retry` those that failed are. A movie that
-    fails is a row of the tables. `tell` hears of everything. Raises OutputError where the folder is not ours, another
-    run works in it, or the tables cannot be written; ConfigError for a wrong number of workers.
+    fails is a row of the tables. `extras` are made beside the tables. `tell` hears of everything. Raises OutputError
+    where the folder is not ours, another run works in it, or the tables cannot be written; ConfigError for a wrong
+    number of workers, or extras that cannot be made.
     """
     cores = processors()
     workers = cores if workers is None else workers
     if workers < 1:
         raise ConfigError(f"workers: expected 1 or more; found {workers}")
+    extras = extras or Extras()
+    extras.check(plan)
     with run_folder(out) as folder:
         known: dict[str, Status] = {}
         for task in plan.tasks:
@@ -82,7 +85,8 @@ def run_batch(plan: Plan, out: Path | str, *, workers: int | None = None, retry:
         statuses = {task.movie: known[task.movie] for task in plan.tasks}
         files: list[Path] = []
         notes: list[str] = []
-        guarded(folder, lambda: write_tables(folder, plan, statuses, files, notes, changed=bool(todo)))
+        guarded(folder, lambda: write_tables(folder, plan, statuses, files, notes, changed=bool(todo),
+                                              extras=extras))
         outcome = Outcome(folder, statuses, unchanged, tuple(files), (*plan.notes, *notes))
     tell(Completed(len(plan.tasks), outcome.count("pass"), outcome.count("review"), outcome.count("fail"),
                    len(outcome.failed), str(folder)))
