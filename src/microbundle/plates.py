@@ -135,6 +135,6 @@ def limits_of(plates: Sequence[Plate], metric: str) -> tuple[float, float] | Non
     if high - low < 1e-9 * max(abs(low), abs(high), 1e-300):
         low, high = low - 0.1 * (abs(low) or 1.0), high + 0.1 * (abs(high) or 1.0)
     step = 10.0 ** math.floor(math.log10((high - low) / 4))
-    step *= next(n for n in (1, 2, 2.5, 5, 10) if n * step * 6 >= high - low)
+    step *= next(n for n in (1, 2, 2.5, 5, 10) if n * step * 8 >= high - low)
     places = max(0, 2 - math.floor(math.log10(step)))
     return round(math.floor(low / step + 1e-9) * step, places), round(math.ceil(high / step - 1e-9) * step, places)

@@ -104,7 +104,7 @@ def write_tables(out: Path, plan: Plan, statuses: Mapping[str, Status], files: l
         numbers = {*STATISTICS, "beats", *shown}
         files += [write_parquet(out / name, numbers) for name in (PLATE, MOVIES)]
     plates = _plates(plan, statuses, readings, extras, notes)
-    metrics = _in_one_unit(shown, KEY_METRICS)
+    metrics = _in_one_unit(shown, (*DRAWN, *(name for name in KEY_METRICS if name not in DRAWN)))
     if plates:
         drawn = write_maps(plates, _in_one_unit(shown, DRAWN), out)
         files += [drawn] if drawn else []

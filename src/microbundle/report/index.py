@@ -133,7 +133,7 @@ def _columns(listed: Sequence[Summary]) -> dict[str, Term]:
 def _head(content: object, *, text: bool = False, class_: str | None = None) -> Html:
     """Head of a column, a button that sorts by it; `text` is sorted as people sort names."""
     button = tag("button", joined([content, tag("span", "", class_="way", aria_hidden="true")]), type="button")
-    return tag("th", button, scope="col", data_text=text, class_=class_)
+    return tag("th", button, scope="col", data_text=text, class_="known" if text else class_)
 
 
 def _row(one: Summary, known: Sequence[str], numbers: Iterable[str], home: Path, pictures: bool) -> Html:

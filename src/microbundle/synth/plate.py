@@ -121,7 +121,7 @@ def plate_wells(wells: int = 96, seed: int = 0, faults: bool = False) -> tuple[W
     if not 2 <= wells <= max(PLATES):
         raise ConfigError(f"wells: expected 2 to {max(PLATES)}; found {wells}")
     rows, columns = next(size for count, size in PLATES.items() if count >= wells)
-    columns = min(columns, -(-wells // rows))
+    columns = min(columns, max(2, -(-wells // rows)))
     doses = DOSES_UM if columns >= len(DOSES_UM) else (0.0, *DOSES_UM[len(DOSES_UM) - columns + 1:])
     rng = np.random.default_rng(np.random.SeedSequence([seed, 61]))
     chosen = rng.permutation(wells)[:min(len(FAULTS), wells // 2)].tolist()

@@ -49,7 +49,7 @@ FAULTS: dict[str, Told] = {
     "half-size mask": Told("failed", "MaskUnusable"),
     "flash": _seen("flash", "pass", "review", right=True),
     "one frame": Told("failed", "CannotMeasure"),
-    "drifting stage": _seen("stage_motion", "pass", "review", right=True),
+    "drifting stage": _seen("drift", "review", right=True),
     "empty file": _UNREADABLE,
     "no tissue": Told("failed", "NoTissue"),
     "repeated frames": _seen("repeated_frames", "review"),
@@ -117,9 +117,9 @@ def _weak(_: SyntheticMovie, frames: Stack) -> Stack:
     return np.asarray(np.rint(np.clip(dark, 0, TOP)).astype(frames.dtype))
 
 
-def _overexposed(_: SyntheticMovie, frames: Stack) -> Stack:
+def _overexposed(made: SyntheticMovie, frames: Stack) -> Stack:
     """Open the shutter for too long: a fifth of the tissue is white."""
-    level = np.quantile(frames[0][30:98, 50:142], 0.8)
+    level = np.quantile(frames[0][made.truth.mask], 0.8)
     return np.asarray(np.minimum(frames * (TOP / level), TOP).astype(frames.dtype))
 
 
