@@ -27,6 +27,8 @@ BLUE, SKY, GREEN, YELLOW, ORANGE, RED, PINK = ("#0072B2", "#56B4E9", "#009E73", 
                                                "#CC79A7")
 TISSUE, PEAK, REST = ORANGE, RED, BLUE
 PILLAR = (SKY, PINK, YELLOW, GREEN)
+GROUPS = (SKY, ORANGE, GREEN, YELLOW, PINK, BLUE, RED, FAINT)
+"""Colours of groups, where there are no more than these."""
 LEVEL = {"pass": GREEN, "review": ORANGE, "fail": RED, "info": FAINT}
 """Colours of verdicts and findings."""
 SEQUENTIAL, DIVERGING = "viridis", "RdBu_r"
