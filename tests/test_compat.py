@@ -154,7 +154,8 @@ def test_units_and_columns_follow_what_is_known(tissue_analysis: Analysis) -> No
 @pytest.mark.parametrize("tool", TOOLS)
 def test_without_beats_or_pillars_there_are_columns_but_no_rows(tissue_analysis: Analysis, tool: str) -> None:
     beats = tissue_analysis.beats
-    none = {name: getattr(beats, name)[:0] for name in ("start", "peak", "stop", "complete", "beat_relaxed_px")}
+    none = {name: getattr(beats, name)[:0] for name in ("start", "peak", "stop", "complete", "left_out",
+                                                          "beat_relaxed_px")}
     found = compat_columns(replace(tissue_analysis, beats=replace(beats, **none)), tool)
     assert len(found) == 0
     assert len(found.columns) > 5

@@ -123,7 +123,8 @@ def test_kinds_without_data_are_left_out_with_a_reason(tissue_analysis, full, tm
     assert "stiffness" in figures.why_not(replace(full, config=tissue_analysis.config), "force")
     beats = full.beats
     none = replace(beats, start=beats.start[:0], peak=beats.peak[:0], stop=beats.stop[:0],
-                   complete=beats.complete[:0], beat_relaxed_px=beats.beat_relaxed_px[:0])
+                   complete=beats.complete[:0], left_out=beats.left_out[:0],
+                   beat_relaxed_px=beats.beat_relaxed_px[:0])
     still = replace(full, beats=none)
     assert figures.why_not(still, "displacement") == "the movie has no beats"
     assert figures.draw(still, "signal").axes

@@ -275,6 +275,7 @@ def without_beats(analysis: Analysis) -> Analysis:
     beats = analysis.beats
     fail = Finding("no_measurable_motion", "fail", "Nothing moves by more than noise.")
     none = replace(beats, start=beats.start[:0], peak=beats.peak[:0], stop=beats.stop[:0], complete=beats.complete[:0],
+                   left_out=beats.left_out[:0],
                    beat_relaxed_px=beats.beat_relaxed_px[:0], findings=(fail,))
     return replace(analysis, beats=none)
 

@@ -17,10 +17,13 @@ if TYPE_CHECKING:
     from .compat import compat_columns
     from .config import Config
     from .data import Movie
+    from .decide import decide
+    from .decisions import Decisions, read_decisions, write_decisions
     from .errors import (
         CalibrationMissing,
         CannotMeasure,
         ChoiceMissing,
+        ClusterUnusable,
         ConfigError,
         MaskUnusable,
         MicrobundleError,
@@ -37,21 +40,25 @@ if TYPE_CHECKING:
     from .pipeline import analyze
     from .read import read_movie
     from .report import write_index, write_report
+    from .statistics.compare import compare
+    from .statistics.write import write_comparison
     from .store import load, save
     from .subsets import follow_body, follow_points
     from .uncertainty import alternatives, displacement_error_at, standard_errors
     from .workbook import write_workbook
 
 _HOME = {
-    "Analysis": "analysis", "Config": "config", "Movie": "data", "analyze": "pipeline", "compat_columns": "compat",
+    "Analysis": "analysis", "Config": "config", "Movie": "data", "analyze": "pipeline", "compare": "statistics.compare",
+    "compat_columns": "compat", "decide": "decide", "write_comparison": "statistics.write",
     "export_paper": "paper_layout", "load": "store", "read_mask": "mask_files", "read_movie": "read", "save": "store",
     "tables": "metrics", "write_workbook": "workbook",
+    **dict.fromkeys(("Decisions", "read_decisions", "write_decisions"), "decisions"),
     **dict.fromkeys(("write_index", "write_report"), "report"),
     **dict.fromkeys(("follow_body", "follow_points"), "subsets"),
     **dict.fromkeys(("alternatives", "displacement_error_at", "standard_errors"), "uncertainty"),
-    **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ChoiceMissing", "ConfigError", "MaskUnusable",
-                     "MicrobundleError", "MovieUnreadable", "NoPillars", "NoTexture", "NoTissue", "OutputError",
-                     "ResultUnreadable"), "errors"),
+    **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ChoiceMissing", "ClusterUnusable", "ConfigError",
+                     "MaskUnusable", "MicrobundleError", "MovieUnreadable", "NoPillars", "NoTexture", "NoTissue",
+                     "OutputError", "ResultUnreadable"), "errors"),
 }
 """Module of each public name; they are imported when first used, so that `import microbundle` is fast."""
 
@@ -63,8 +70,10 @@ __all__ = [
     "CalibrationMissing",
     "CannotMeasure",
     "ChoiceMissing",
+    "ClusterUnusable",
     "Config",
     "ConfigError",
+    "Decisions",
     "MaskUnusable",
     "MicrobundleError",
     "Movie",
@@ -77,7 +86,9 @@ __all__ = [
     "__version__",
     "alternatives",
     "analyze",
+    "compare",
     "compat_columns",
+    "decide",
     "displacement_error_at",
     "export_paper",
     "figures",
@@ -85,11 +96,14 @@ __all__ = [
     "follow_points",
     "load",
     "movies",
+    "read_decisions",
     "read_mask",
     "read_movie",
     "save",
     "standard_errors",
     "tables",
+    "write_comparison",
+    "write_decisions",
     "write_index",
     "write_report",
     "write_workbook",

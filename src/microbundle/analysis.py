@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -23,6 +23,7 @@ from .data import (
     Tracks,
     Verdict,
 )
+from .decisions import Decisions, Judge, Note, UseSettings
 from .field import checked_points, inside_tissue, interpolate
 from .geometry import to_tissue
 
@@ -61,6 +62,8 @@ class Analysis:
     looked at in 40 frames, with straight lines between them."""
     pillars: PillarMotion | None = None
     """How the pillars move, or None where there are none, or none that can be told (a finding says why)."""
+    decisions: Decisions = field(default_factory=Decisions)
+    """What a person decided about this movie, and was replayed."""
 
     @property
     def frame_count(self) -> int:
@@ -69,15 +72,31 @@ class Analysis:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Everything a reader should know, of all stages."""
+        """Everything a reader should know, of all stages, and what a person made of it."""
         return (*self.movie_findings, *self.masks.findings, *self.markers.findings, *self.tracks.findings,
-                *self.beats.findings, *(() if self.pillars is None else self.pillars.findings))
+                *self.beats.findings, *(() if self.pillars is None else self.pillars.findings), *self._judged())
 
     @property
     def verdict(self) -> Verdict:
-        """`fail` where nothing can be trusted, `review` where a person should look, else `pass`."""
+        """`fail` where nothing can be trusted, `review` where a person should look, else `pass`; a person who accepted
+        the numbers has looked."""
         levels = {finding.level for finding in self.findings}
-        return "fail" if "fail" in levels else "review" if "review" in levels else "pass"
+        if "fail" in levels:
+            return "fail"
+        return "review" if "review" in levels and not self.decisions.accepted else "pass"
+
+    def _judged(self) -> Iterator[Finding]:
+        """What a person decided of the movie as a whole, and of its settings."""
+        judged = [one for one in self.decisions.listed if isinstance(one, Judge)]
+        for one in self.decisions.listed:
+            if isinstance(one, UseSettings):
+                names = ", ".join(f"{name} = {value}" for name, value in one.named())
+                yield Finding("settings_decided", "info", f"by a person's decision {names}{one.signed}")
+            elif isinstance(one, Note):
+                yield Finding("note", "info", f"a person's note: {one.text}{one.signed}")
+            elif judged and one is judged[-1]:
+                yield (Finding("accepted", "info", f"a person accepted these numbers{one.signed}") if one.accept else
+                       Finding("rejected", "fail", f"a person rejected these numbers{one.signed}"))
 
     @property
     def displacement_px(self) -> Floats:

@@ -12,6 +12,7 @@ way between peaks, and the first and last beats left out. Source: paper, "Tempor
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -32,6 +33,7 @@ from .contraction import (
 from .data import Beats, Bools, Finding, Floats, Ints, Masks, Movie, Tracks
 from .focus import shared_part, sharpness_correlation
 from .modes import FRAMES_AT_ONCE, NOISE_FACTOR, faintest_in
+from .peaks import find_peaks
 
 SMALLEST_SHARE = 0.25
 """A peak counts as a beat from this share of the signal's whole range."""
@@ -143,8 +145,6 @@ def detection_limit(tracks: Tracks, displacement_px: Floats, params: BeatParams)
 def cut_signal(signal: Floats, noise: float, params: BeatParams,
                frames_per_s: float | None = None) -> tuple[Cut, Without]:
     """Cut a contraction signal (T,) in px into beats, or say why there are none."""
-    from scipy.signal import find_peaks
-
     none = Cut([], [], [], [], [])
     if len(signal) < 5:
         return none, Without(f"the movie has only {len(signal)} frames")
@@ -160,7 +160,7 @@ def cut_signal(signal: Floats, noise: float, params: BeatParams,
     prominence = max(stands_out, SMALLEST_SHARE * (high - low))
     # Below both ends, so that a signal that starts or ends high has a peak there: a beat that is cut off.
     padded = np.concatenate([[smooth.min()], smooth, [smooth.min()]])
-    peaks = find_peaks(padded, prominence=prominence, distance=distance)[0] - 1
+    peaks = find_peaks(padded, prominence=prominence, distance=distance) - 1
     inner = peaks[(peaks > 0) & (peaks < len(signal) - 1)]
     if len(inner) == 0:
         return none, Without(f"the tissue moves by {high - low:.3g} px, but the movie holds no peak of a beat")
@@ -236,24 +236,32 @@ def _rest(smooth: Floats, first: int, last: int, noise: float) -> tuple[int, int
 
 def _beats(tracks: Tracks, cut: Cut, noise: float, limit: float, without: Without) -> Beats:
     """Complete a cut with the relaxed positions and the signal."""
-    count, markers = tracks.ok.shape
-    relaxed = np.zeros(count, bool)
+    relaxed = np.zeros(len(tracks.ok), bool)
     for first, stop in (rest for rests in cut.rests for rest in rests):
         relaxed[first:stop] = True
     if not cut.peak:
         relaxed[:] = True
-    beat_relaxed = np.full((len(cut.peak), markers, 2), np.nan)
-    for b, weights in enumerate(rest_weights(relaxed, np.array(cut.peak, int))):
+    beats = Beats(np.zeros(len(relaxed)), noise, np.array(cut.start, int), np.array(cut.peak, int),
+                  np.array(cut.stop, int), np.array(cut.complete, bool), relaxed, *at_rest(tracks, relaxed, cut.peak),
+                  "default", limit)
+    return with_findings(replace(beats, signal_px=signal_from(tracks, beats.relaxed_px)), without)
+
+
+def at_rest(tracks: Tracks, relaxed: Bools, peaks: Sequence[int] | Ints) -> tuple[Floats, Floats]:
+    """Find where the markers rest: over all relaxed frames (N, 2), and around the beats' peaks (B, N, 2)."""
+    beat_relaxed = np.full((len(peaks), tracks.ok.shape[1], 2), np.nan)
+    for b, weights in enumerate(rest_weights(relaxed, np.array(peaks, int))):
         beat_relaxed[b] = _mean_position(tracks.position_px[weights > 0], weights[weights > 0])
-    rest = _mean_position(tracks.position_px[relaxed])
-    moved = tracks.position_px[:, tracks.kept] - rest[tracks.kept].astype(np.float32)
-    signal = mean_absolute(moved)
-    beats = Beats(signal, noise, np.array(cut.start, int), np.array(cut.peak, int), np.array(cut.stop, int),
-                  np.array(cut.complete, bool), relaxed, rest, beat_relaxed, "default", limit)
-    return _with_findings(beats, without)
+    return _mean_position(tracks.position_px[relaxed]), beat_relaxed
 
 
-def _with_findings(beats: Beats, without: Without) -> Beats:
+def signal_from(tracks: Tracks, rest_px: Floats) -> Floats:
+    """Compute the mean absolute displacement (T,) of the markers that were followed from where they rest (N, 2)."""
+    return mean_absolute(tracks.position_px[:, tracks.kept] - rest_px[tracks.kept].astype(np.float32))
+
+
+def with_findings(beats: Beats, without: Without) -> Beats:
+    """Add what a reader should know of the beats, in place of older findings; `without` says why there are none."""
     findings: list[Finding] = []
     whole = int(beats.complete.sum())
     if without.still:
@@ -281,15 +289,13 @@ def _with_findings(beats: Beats, without: Without) -> Beats:
 
 
 def _paper_beats(tracks: Tracks) -> Beats:
-    from scipy.signal import find_peaks
-
     moved = tracks.position_px - tracks.position_px[0]
     series = np.hypot(moved[..., 0], moved[..., 1]).mean(axis=1)
     crossings = np.flatnonzero(np.diff(np.sign(series - series.mean())))
     peaks = np.empty(0, int)
     if len(crossings) > 1:
         distance = max(1.0, 1.5 * float(np.diff(crossings).mean()))
-        peaks = find_peaks(series, distance=distance, prominence=PAPER_PROMINENCE_PX)[0]
+        peaks = find_peaks(series, distance=distance, prominence=PAPER_PROMINENCE_PX)
     valleys = ((peaks[:-1] + peaks[1:]) / 2).astype(int)
     start, stop = valleys[:-1], valleys[1:]
     peak = peaks[1:-1] if len(peaks) > 2 else np.empty(0, int)
@@ -297,7 +303,7 @@ def _paper_beats(tracks: Tracks) -> Beats:
     relaxed[start] = True
     beats = Beats(series, frame_noise(series), start, peak, stop, np.ones(len(start), bool), relaxed,
                   tracks.position_px[0].astype(float), tracks.position_px[start].astype(float), "paper")
-    return _with_findings(beats, Without(f"the published method needs three peaks; {len(peaks)} were found"))
+    return with_findings(beats, Without(f"the published method needs three peaks; {len(peaks)} were found"))
 
 
 def _mean_position(position_px: Floats, weights: Floats | None = None) -> Floats:

@@ -21,8 +21,12 @@ app = App(name="microbundle", help="Displacement, strain and beat metrics from m
 app.command("microbundle.commands:analyze", name="analyze", help="Measure one movie and write a folder of results.")
 app.command("microbundle.batch.commands:batch", name="batch", help="Measure many movies, resume where that was "
             "stopped, and write tables over all of them.")
+app.command("microbundle.statistics.commands:compare", name="compare", help="Compare the wells of a run over many "
+            "movies: groups, before and after, doses.")
 app.command("microbundle.commands:info", name="info", help="Show what is inside a movie file or folder, and what would "
             "be taken from it.")
+app.command("microbundle.commands:decide", name="decide", help="Write down what a person decides about a movie: beats, "
+            "mask, settings, accepted or not.")
 app.command("microbundle.commands:trace", name="trace", help="Measure the beats of a trace, such as calcium, and the "
             "delay of the contraction.")
 app.command("microbundle.commands:metrics", name="metrics", help="Print the dictionary of metrics: every key with its "

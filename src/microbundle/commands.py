@@ -37,7 +37,8 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
         A folder of single-frame TIFFs (also the layout movie/ and masks/), or a TIFF, ND2, CZI, LIF, AVI, MP4, MOV or
         MKV file; `microbundle info` shows what is in it.
     out
-        New folder for the results; by default NAME_microbundle in the current folder.
+        New folder for the results; by default NAME_microbundle in the current folder. A person's decisions that lie
+        beside it (see `microbundle decide`) are replayed.
     overwrite
         Replace an older result in that folder.
     tissue_mask
@@ -67,10 +68,11 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
         config = Config.from_dict(merge(below, given), source="command line")
     settings = settings_from(config_file, config)
     from .compat import compat_columns
+    from .decisions import read_decisions
     from .folder import check_free
     from .metrics import tables
     from .pipeline import analyze as run
-    from .read import read_movie
+    from .read import movie_name, read_movie
     from .report import NAME as PAGE
     from .report import write_report
     from .store import KIND, save
@@ -79,11 +81,13 @@ def analyze(movie: Path, *, out: Path | None = None, overwrite: Switch = False, 
     if excel:
         check_writer()
     with progress_bar(quiet or json) as tell:
+        named = out or Path(f"{movie_name(movie)}_microbundle")
+        folder = check_free(named, KIND, overwrite)
+        decided = read_decisions(folder)
+        settings = decided.over(settings)
         part = settings.reading
         opened = read_movie(movie, tissue_mask=tissue_mask, series=part.series, channel=part.channel, z=part.z)
-        folder = out or Path(f"{opened.name}_microbundle")
-        check_free(folder, KIND, overwrite)
-        analysis = run(opened, settings, tell=tell)
+        analysis = run(opened, settings, decisions=decided, tell=tell)
         made = tables(analysis) | {f"compat_{tool}": compat_columns(analysis, tool) for tool in compat or ()}
 
         left_out: dict[str, str] = {}
@@ -278,6 +282,58 @@ def report(result: Path, *, out: Path | None = None, movie: Path | None = None, 
     file = write_report(load(result), out or home / NAME, movie=movie, overwrite=overwrite)
     if not quiet:
         print(file)
+    return 0
+
+
+def decide(result: Path, *, drop_beat: list[int] | None = None, mark_beat: list[tuple[int, int, int]] | None = None,
+           mask: list[Path] | None = None, accept: Switch = False, reject: Switch = False, note: str | None = None,
+           config_file: Annotated[Path | None, Parameter(name="--config")] = None, why: str = "", by: str = "",
+           forget: list[int] | None = None, json: Switch = False) -> int:
+    """Write down what a person decides about a movie; measuring it again replays that. Without a decision, list them.
+
+    Parameters
+    ----------
+    result
+        Folder that `microbundle analyze` wrote, or is going to write; decisions lie beside it, as
+        NAME.decisions.json. In a batch: OUT/results/NAME.
+    drop_beat
+        Leave out the beat that this frame belongs to; may be given more than once.
+    mark_beat
+        A beat lies here, in place of what was found: first frame, frame of the peak, first frame after it.
+    mask
+        Take this mask of the tissue, or of a pillar where the file's name holds pillar_1, pillar_2, ...; it is copied
+        beside the decisions.
+    accept
+        Accept the numbers: the verdict review becomes pass.
+    reject
+        Reject the numbers: the verdict becomes fail.
+    note
+        Text that is kept with the movie.
+    config_file
+        TOML file of settings for this movie alone; they win over all others.
+    why
+        Reason of these decisions.
+    by
+        Who decides.
+    forget
+        Take back the decisions with these numbers, as the list shows them.
+    json
+        Print one JSON object.
+    """
+    from .decide import decide as write_down
+
+    if accept and reject:
+        raise ConfigError("command line: expected --accept or --reject; found both")
+    decided = write_down(result, drop_beats=drop_beat or (), mark_beats=mark_beat or (), masks=mask or (),
+                         accept=True if accept else False if reject else None, note=note,
+                         settings=None if config_file is None else read_toml(config_file), why=why, by=by,
+                         forget=forget or ())
+    if json:
+        print_json({"decisions": decided.as_list()})
+        return 0
+    rows = [(str(number), one["kind"], ", ".join(f"{k} {v}" for k, v in one.items() if k != "kind"))
+            for number, one in enumerate(decided.as_list())]
+    print_rows(f"{len(rows)} decisions on {result}", ("number", "kind", "what"), rows)
     return 0
 
 

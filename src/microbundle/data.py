@@ -320,7 +320,7 @@ class Beats:
     stop: Ints
     """First frame after each beat (B,)."""
     complete: Bools
-    """(B,): False for a beat that the movie's start or end cuts off; it has no period."""
+    """(B,): False for a beat that the movie's start or end cuts off, or that a person left out; it has no period."""
     relaxed: Bools
     """(T,): frames in which the tissue rests."""
     relaxed_px: Floats
@@ -333,10 +333,14 @@ class Beats:
     of such beats are found, almost all of twice the size, and a motionless movie has a beat in at most 1 % of cases.
     NaN where the method has no such limit."""
     findings: tuple[Finding, ...] = ()
+    left_out: Bools = field(default_factory=lambda: np.zeros(0, bool))
+    """(B,): True for a beat that a person decided to leave out; False for all where nothing is given."""
 
     def __post_init__(self) -> None:
         b, t = len(self.start), len(self.signal_px)
-        for name in ("peak", "stop", "complete"):
+        if len(self.left_out) == 0:
+            object.__setattr__(self, "left_out", np.zeros(b, bool))
+        for name in ("peak", "stop", "complete", "left_out"):
             _expect(name, getattr(self, name), (b,))
         _expect("relaxed", self.relaxed, (t,))
         _expect("relaxed_px", self.relaxed_px, (None, 2))
@@ -344,6 +348,11 @@ class Beats:
 
     def __len__(self) -> int:
         return len(self.start)
+
+    def label(self, beat: int) -> str:
+        """Name a beat for people: its number, counted from 1, and why it does not count where it does not."""
+        why = " (left out)" if self.left_out[beat] else "" if self.complete[beat] else " (cut off)"
+        return f"beat {beat + 1}{why}"
 
     @property
     def drift_px(self) -> Floats:

@@ -278,6 +278,6 @@ BY_KEY: dict[str, tuple[Metric, ...]] = {metric.key: tuple(m for m in METRICS if
                                          for metric in METRICS}
 """Entries of each key; a rate has two, in Hz and in beats per minute."""
 
-IDENTITY = ("beat", "frame", "subdomain", "pillar", "complete", "relaxed", "start_frame", "peak_frame", "stop_frame",
-            "reason")
+IDENTITY = ("beat", "frame", "subdomain", "pillar", "complete", "left_out", "relaxed", "start_frame", "peak_frame",
+            "stop_frame", "reason")
 """Columns that name a row rather than measure something."""

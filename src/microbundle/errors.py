@@ -12,6 +12,7 @@
     |   +-- NoTexture           5   the tissue shows too few points that can be followed
     |   +-- CalibrationMissing  5   a physical unit was asked for and the scale is not known
     +-- OutputError             6   the results cannot be written
+    +-- ClusterUnusable         7   the cluster that should measure cannot be reached or used, or was lost
 
 Exit code 3 is not an error: the result was written and its verdict is "fail" (for example no measurable motion).
 """
@@ -73,3 +74,9 @@ class OutputError(MicrobundleError):
     """The results cannot be written where they were asked for."""
 
     exit_code = 6
+
+
+class ClusterUnusable(MicrobundleError):
+    """The scheduler of a cluster cannot be reached or was lost, or none of its workers can do the work."""
+
+    exit_code = 7

@@ -80,6 +80,25 @@ class Failed:
 
 
 @dataclass(frozen=True)
+class Drawing:
+    """All movies are measured; the pictures of those with a result are drawn."""
+
+    movies: int
+    unchanged: int
+    """Of them, those whose pictures an earlier run has drawn with the same limits."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """The pictures of a movie are there, or cannot be drawn."""
+
+    movie: str
+    seconds: float
+    problem: str = ""
+    """Why there are none; empty where they are there."""
+
+
+@dataclass(frozen=True)
 class Completed:
     """A run over many movies has ended, and its tables are written."""
 
@@ -93,7 +112,7 @@ class Completed:
     out: str
 
 
-BatchEvent = Planned | Started | Progressed | Finished | Failed | Completed
+BatchEvent = Planned | Started | Progressed | Finished | Failed | Drawing | Drawn | Completed
 TellBatch = Callable[[BatchEvent], None]
 
 

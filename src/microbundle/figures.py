@@ -128,14 +128,23 @@ def shared_limits(analyses: Iterable[Analysis], kinds: Sequence[str] | None = No
         if len(units) > 1:
             raise ConfigError("shared limits: expected results of one unit; the pixel size or the frame rate is known "
                               "of some of them only. Give --um-per-px and --fps for all")
-        for name in _checked(kinds):
-            find = KINDS[name].limited
-            if find is None or _why_not(shown, name):
-                continue
-            low, high = find(shown)
+        for name, (low, high) in _own_limits(shown, kinds).items():
             before = out.get(name, (low, high))
             out[name] = min(low, before[0]), max(high, before[1])
     return out
+
+
+def own_limits(analysis: Analysis, kinds: Sequence[str] | None = None) -> dict[str, Limits]:
+    """Find the limits that the figures of one result have where none are given: kind -> (low, high).
+
+    Kinds without limits or data are left out. Raises ConfigError for an unknown kind.
+    """
+    return _own_limits(Shown(analysis), kinds)
+
+
+def _own_limits(shown: Shown, kinds: Sequence[str] | None) -> dict[str, Limits]:
+    limited = ((name, KINDS[name].limited) for name in _checked(kinds) if not _why_not(shown, name))
+    return {name: find(shown) for name, find in limited if find is not None}
 
 
 def save_all(analysis: Analysis, folder: Path | str, *, formats: Sequence[str] = ("png", "pdf"),

@@ -107,6 +107,34 @@ def write_file(file: Path, content: str, *, mark: str, overwrite: bool = False) 
     return file
 
 
+def write_within(folder: Path, name: str, write: Callable[[Path], object]) -> None:
+    """Let `write` make a file or a folder, put it whole into a folder that we wrote, in place of an older one of that
+    name, and list it there.
+
+    `write` is given the path at which it is to be made. A run that is killed in between leaves a list of more than
+    there is, with which the folder can still be replaced. Raises OutputError where the folder is none of ours, or
+    writing fails; the older one is in place then.
+    """
+    try:
+        kind, ours = _listed(folder)
+        if not kind:
+            raise OutputError(f"{folder}: expected a folder with its list of files, {LIST}; there is none")
+        aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.{name}.partial-", dir=folder.parent))
+        try:
+            write(aside / name)
+            new = {f"{name}/{inner}" for inner in _files(aside / name)} if (aside / name).is_dir() else {name}
+            kept = {one for one in ours if one != name and not one.startswith(f"{name}/")}
+            _write_list(folder, kind, ours | new)
+            if (folder / name).exists():
+                (folder / name).rename(aside / f"{name}.old")
+            (aside / name).rename(folder / name)
+            _write_list(folder, kind, kept | new)
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+
+
 def _check_ours(file: Path, mark: str, overwrite: bool) -> None:
     if not file.is_file():
         raise OutputError(f"{file}: expected a new file; there is a folder of that name. Choose another with --out")
@@ -124,10 +152,13 @@ def _add_to_list(file: Path) -> None:
     old_kind, ours = _listed(file.parent)
     if not old_kind or file.name in ours:
         return
-    listed = {"kind": old_kind, "files": sorted(ours - {LIST} | {file.name})}
-    partial = file.parent / f".{LIST}.partial"
-    partial.write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
-    partial.replace(file.parent / LIST)
+    _write_list(file.parent, old_kind, ours | {file.name})
+
+
+def _write_list(folder: Path, kind: str, files: set[str]) -> None:
+    partial = folder / f".{LIST}.partial"
+    partial.write_text(json.dumps({"kind": kind, "files": sorted(files - {LIST})}, indent=1) + "\n", encoding="utf-8")
+    partial.replace(folder / LIST)
 
 
 def _listed(folder: Path) -> tuple[str, set[str]]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .data import Bools, Floats
+from .data import Bools, Finding, Floats, Movie
+from .decisions import Decisions
 from .errors import MaskUnusable
 
 PICTURES = (".png", ".tif", ".tiff", ".bmp")
@@ -73,6 +75,22 @@ def find_supplied_masks(movie_path: Path, shape: tuple[int, ...],
         elif match := re.fullmatch(r"pillar_mask_(\d+)\.txt", name):
             found[f"pillar_{int(match[1])}"] = read_mask(file, shape)
     return found
+
+
+def with_decided_masks(movie: Movie, decisions: Decisions) -> Movie:
+    """Give a movie the masks that a person decided on, in place of those that came with it; findings say so.
+
+    Raises MaskUnusable where a mask cannot be read, or does not fit the movie.
+    """
+    from_person = {name: read_mask(file, movie.shape) for name, file in decisions.masks.items()}
+    if not from_person:
+        return movie
+    told = tuple(Finding("mask_decided", "info", f"by a person's decision the mask of the {name.replace('_', ' ')} is "
+                         f"{decisions.masks[name].name}") for name in from_person)
+    kept = movie.supplied_masks
+    if any(name.startswith("pillar_") for name in from_person):
+        kept = {name: mask for name, mask in kept.items() if not name.startswith("pillar_")}
+    return replace(movie, supplied_masks={**kept, **from_person}, findings=(*movie.findings, *told))
 
 
 def polygon_mask(points_px: Floats, shape: tuple[int, ...]) -> Bools:

@@ -126,8 +126,8 @@ def _beat_rows(analysis: Analysis, values: Mapping[str, Floats], errors: Mapping
                level: Level) -> Iterator[dict[str, object]]:
     beats, error = analysis.beats, _errors_of(errors, level)
     for b in range(len(beats)):
-        yield {"beat": b, "complete": bool(beats.complete[b]), "start_frame": int(beats.start[b]),
-               "peak_frame": int(beats.peak[b]), "stop_frame": int(beats.stop[b]),
+        yield {"beat": b, "complete": bool(beats.complete[b]), "left_out": bool(beats.left_out[b]),
+               "start_frame": int(beats.start[b]), "peak_frame": int(beats.peak[b]), "stop_frame": int(beats.stop[b]),
                **_written(analysis, _at(values, b), _at(error, b))}
 
 

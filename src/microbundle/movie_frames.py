@@ -123,8 +123,7 @@ class Painter:
     def __init__(self, movie: Movie, shown: Shown, show: Show, view: Window,
                  limits: tuple[float, float] | None) -> None:
         self.shown, self.view = shown, view
-        self._colour: _Displacement | _Tiles = (_Displacement(shown, view) if show == "displacement"
-                                                else _Tiles(shown, view))
+        self._colour = colouring(shown, show, view)
         self.limits = limits or self._colour.limits()
         self._outside = view.cut(np.ones(movie.shape, np.float32), outside=0.0) < 0.5
         name = SEQUENTIAL if show == "displacement" else DIVERGING
@@ -143,6 +142,11 @@ class Painter:
         picture = self._colour.over(picture, t, self._table, self.limits)
         picture[self._outside] = 255
         return self.frame.filled(t, picture)
+
+
+def colouring(shown: Shown, show: Show, view: Window) -> _Displacement | _Tiles:
+    """Make what lays the colours of displacement or strain over the pictures of a window."""
+    return _Displacement(shown, view) if show == "displacement" else _Tiles(shown, view)
 
 
 class _Displacement:

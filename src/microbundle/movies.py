@@ -7,6 +7,7 @@ Frames are read, drawn and encoded one after the other, so that memory does not 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from .analysis import Analysis
 from .data import Ints, Movie
 from .encode import encoder
 from .errors import CannotMeasure, ConfigError
-from .movie_frames import Painter, Show, window
+from .movie_frames import Painter, Show, colouring, window
 from .read import calibrated, prepare
 from .shown import Shown
 
@@ -48,8 +49,7 @@ def write_movie(movie: Movie, analysis: Analysis, path: Path | str, *, show: Sho
     if fps is not None and not (np.isfinite(fps) and fps > 0):
         raise ConfigError(f"fps: expected a positive number; found {fps}")
     movie = _as_analyzed(movie, analysis)
-    if show == "strain" and (analysis.strain is None or not np.isfinite(analysis.strain.F).any()):
-        raise CannotMeasure(f"{analysis.name}: no sub-domain has a strain, so there is no movie of it")
+    _check_shown(analysis, show)
     frames = _frames(analysis, beats_only)
     suffix = path.suffix.lower()
     shown = Shown(analysis)
@@ -64,15 +64,35 @@ def write_movie(movie: Movie, analysis: Analysis, path: Path | str, *, show: Sho
     return path
 
 
-def save_all(movie: Movie, analysis: Analysis, folder: Path | str) -> dict[str, str]:
+def own_limits(analysis: Analysis) -> dict[str, tuple[float, float]]:
+    """Find the limits that the movies of a result have where none are given: "displacement" and, where there is strain,
+    "strain" -> (low, high)."""
+    shown, out = Shown(analysis), dict[str, tuple[float, float]]()
+    for show in SHOWN:
+        try:
+            _check_shown(analysis, show)
+        except CannotMeasure:
+            continue
+        out[show] = colouring(shown, show, window(shown, LONGEST[".mp4"], level=False)).limits()
+    return out
+
+
+def _check_shown(analysis: Analysis, show: Show) -> None:
+    if show == "strain" and (analysis.strain is None or not np.isfinite(analysis.strain.F).any()):
+        raise CannotMeasure(f"{analysis.name}: no sub-domain has a strain, so there is no movie of it")
+
+
+def save_all(movie: Movie, analysis: Analysis, folder: Path | str, *,
+             limits: Mapping[str, tuple[float, float]] | None = None) -> dict[str, str]:
     """Write `displacement.mp4` and `strain.mp4` into a folder; returns what there is no movie of, and why.
 
-    Raises ConfigError for another movie than the one that was analyzed, OutputError where a file cannot be written.
+    `limits` are the ends of the colour bars, by the same names; without them they follow the data. Raises ConfigError
+    for another movie than the one that was analyzed, OutputError where a file cannot be written.
     """
     left_out: dict[str, str] = {}
     for show in SHOWN:
         try:
-            write_movie(movie, analysis, Path(folder) / f"{show}.mp4", show=show)
+            write_movie(movie, analysis, Path(folder) / f"{show}.mp4", show=show, limits=(limits or {}).get(show))
         except CannotMeasure as error:
             left_out[show] = str(error)
     return left_out

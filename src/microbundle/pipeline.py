@@ -6,14 +6,17 @@ import platform
 from importlib.metadata import version
 
 from .analysis import Analysis
+from .beat_decisions import decide_beats
 from .beats import find_beats
 from .config import Config
 from .data import Finding, Masks, Movie, Strain
+from .decisions import Decisions
 from .errors import CannotMeasure, ConfigError
 from .events import Progress, Tell, ignore, stage
 from .grid import interpolate_grid
 from .markers import place_markers
 from .mask import find_masks
+from .mask_files import with_decided_masks
 from .pillars import measure_pillars
 from .quality import check_movie
 from .quality_result import check_result
@@ -27,17 +30,21 @@ from .track import track_markers
 FEWEST_FRAMES = 3
 
 
-def analyze(movie: Movie, config: Config | None = None, *, masks: Masks | None = None, tell: Tell = ignore) -> Analysis:
+def analyze(movie: Movie, config: Config | None = None, *, masks: Masks | None = None,
+            decisions: Decisions | None = None, tell: Tell = ignore) -> Analysis:
     """Measure one movie: tissue, tracks, beats, displacement field and strain.
 
-    `masks` replaces the automatic ones. `tell` hears of the progress. A movie in which nothing moves is a result, with
-    the verdict "fail" and a finding that says so. Raises NoTissue, NoTexture, MovieUnreadable, MaskUnusable.
+    `masks` replaces the automatic ones. `decisions` of a person (see `microbundle.read_decisions`) are replayed. `tell`
+    hears of the progress. A movie in which nothing moves is a result, with the verdict "fail" and a finding that says
+    so. Raises NoTissue, NoTexture, MovieUnreadable, MaskUnusable.
     """
     if not isinstance(movie, Movie):
         raise ConfigError(f"movie: expected a Movie, found {type(movie).__name__}; open a file with "
                           "microbundle.read_movie(path), an array with microbundle.Movie.from_array(array)")
-    config = config or Config()
-    movie = prepare(calibrated(movie, config.fps, config.um_per_px), config.reading)
+    decisions = decisions or Decisions()
+    config = decisions.over(config or Config())
+    movie = with_decided_masks(calibrated(movie, config.fps, config.um_per_px), decisions)
+    movie = prepare(movie, config.reading)
     if movie.count < FEWEST_FRAMES:
         raise CannotMeasure(f"{movie.name}: expected a movie of at least {FEWEST_FRAMES} frames; found {movie.count}")
 
@@ -51,7 +58,7 @@ def analyze(movie: Movie, config: Config | None = None, *, masks: Masks | None =
     stage(tell, "following the pillars", 0.85, 0.9)
     pillars, no_pillars = measure_pillars(movie, masks, reference_frame, config)
     stage(tell, "beats and strain", 0.9, 1.0)
-    beats = find_beats(tracks, masks, movie, config)
+    beats = decide_beats(find_beats(tracks, masks, movie, config), tracks, decisions)
     background = None if config.method == "paper" else measure_stage(movie, masks, reference_frame)
     grid = interpolate_grid(tracks, beats, masks, config)
     strain, no_strain = _strain_or_reason(tracks, beats, masks, config)
@@ -65,7 +72,7 @@ def analyze(movie: Movie, config: Config | None = None, *, masks: Masks | None =
                         *stage_finding(background, beats),
                         *check_result(movie, masks, tracks, beats, strain, config.method)),
         files=tuple(str(file) for file in movie.files), input_hash=content_hash(movie), versions=_versions(),
-        stage_px=None if background is None else background.shift_px, pillars=pillars,
+        stage_px=None if background is None else background.shift_px, pillars=pillars, decisions=decisions,
     )
 
 

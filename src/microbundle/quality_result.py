@@ -163,7 +163,7 @@ def upstroke_frames(rise_px: Floats) -> float:
 
 
 def _rhythm(beats: Beats) -> Finding | None:
-    between = np.diff(beats.peak[beats.complete])
+    between = np.diff(beats.peak)[beats.complete[1:] & beats.complete[:-1]]
     if len(between) < 2:
         return None
     away = float(np.ptp(between) / np.median(between))

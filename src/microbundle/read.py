@@ -51,7 +51,7 @@ def read_movie(path: Path | str, *, fps: float | None = None, um_per_px: float |
     masks = find_supplied_masks(path, first.shape, tissue_mask)
     found = opened.calibration
     movie = Movie(
-        name=_name(path), frames=Cached(opened.frames), shape=_shape(first), time_s=found.time_s,
+        name=movie_name(path), frames=Cached(opened.frames), shape=_shape(first), time_s=found.time_s,
         time_source=found.time_source, um_per_px=found.um_per_px, um_per_px_source=found.um_per_px_source,
         supplied_masks=masks, files=opened.files, findings=opened.all_findings, taken=opened.choice.taken,
     )
@@ -214,8 +214,9 @@ def _format(path: Path, is_folder: bool) -> Any:
     raise MovieUnreadable(f"{path}: expected a TIFF, ND2, CZI, LIF, AVI, MP4, MOV or MKV file; found {what}")
 
 
-def _name(path: Path) -> str:
-    path = path.resolve()
+def movie_name(path: Path | str) -> str:
+    """Name a movie after its file or folder."""
+    path = Path(path).expanduser().resolve()
     if path.is_dir():
         return path.parent.name if path.name == "movie" else path.name
     return path.name.removesuffix(path.suffix).removesuffix(".ome")

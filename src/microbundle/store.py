@@ -30,6 +30,7 @@ from .data import (
     TissueAxis,
     Tracks,
 )
+from .decisions import Decisions
 from .draws import Draws
 from .errors import ResultUnreadable
 from .field import Field
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 
 RESULT = "result.nc"
 KIND = "results"
-SCHEMA = 1
+SCHEMA = 2
 """Version of the layout of the result file; raised when a reader of the old one would be misled."""
 RC = ("row", "col")
 DRAWS = {
@@ -165,7 +166,9 @@ def _to_dataset(a: Analysis) -> xr.Dataset:
     put("beat_start", ("beat",), b.start, "frame", "first frame of the beat")
     put("beat_peak", ("beat",), b.peak, "frame", "frame of the largest displacement")
     put("beat_stop", ("beat",), b.stop, "frame", "first frame after the beat")
-    put("beat_complete", ("beat",), b.complete.astype(np.uint8), "1", "0 where the movie cuts the beat off")
+    put("beat_complete", ("beat",), b.complete.astype(np.uint8), "1",
+        "0 where the movie cuts the beat off, or a person left it out")
+    put("beat_left_out", ("beat",), b.left_out.astype(np.uint8), "1", "1 where a person left the beat out")
     put("beat_relaxed_position", ("beat", "marker", "axis"), b.beat_relaxed_px, "px", "markers at rest around the beat")
     put("grid_point", ("point", "axis"), a.grid.point_px, "px", "grid points at rest")
     put("grid_displacement", ("frame", "point", "axis"), a.grid.displacement_px, "px", "displacement from rest")
@@ -230,7 +233,7 @@ def _attributes(a: Analysis) -> dict[str, Any]:
                               "window_px": a.tracks.window_px, "faintest_px": _finite(a.tracks.faintest_px)}),
         "beats": json.dumps({"noise_px": _finite(a.beats.noise_px), "method": a.beats.method,
                              "detection_limit_px": _finite(a.beats.detection_limit_px)}),
-        "grid_shape": list(a.grid.shape),
+        "grid_shape": list(a.grid.shape), "decisions": json.dumps(a.decisions.as_list()),
         "strain": json.dumps(None if a.strain is None else {
             "grid": a.strain.grid, "side_px": a.strain.side_px, "angle_deg": a.strain.angle_deg}),
         "pillars": json.dumps(None if a.pillars is None else {
@@ -267,7 +270,7 @@ def _from_dataset(data: xr.Dataset) -> Analysis:
         get("mean_absolute_displacement"), _number(noise["noise_px"]), get("beat_start"), get("beat_peak"),
         get("beat_stop"), get("beat_complete") > 0, get("relaxed") > 0, get("relaxed_position"),
         get("beat_relaxed_position"), noise["method"], detection_limit_px=_number(noise["detection_limit_px"]),
-        findings=found["beats"])
+        findings=found["beats"], left_out=get("beat_left_out") > 0)
     rows, cols = (int(n) for n in attr["grid_shape"])
     about = json.loads(attr["strain"])
     strain = None if about is None else Strain(
@@ -283,6 +286,7 @@ def _from_dataset(data: xr.Dataset) -> Analysis:
         movie_findings=found["movie"], files=tuple(json.loads(attr["files"])), input_hash=str(attr["input_hash"]),
         versions=json.loads(attr["versions"]), stage_px=get("stage") if "stage" in data else None,
         pillars=_pillars(data, json.loads(attr["pillars"]), found["pillars"]),
+        decisions=Decisions.from_list(json.loads(attr["decisions"]), source="its decisions"),
     )
 
 

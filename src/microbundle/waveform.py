@@ -41,7 +41,8 @@ def beat_shapes(signal: Floats, clock: Floats, beats: Beats, *, levels: Sequence
 
     `clock` (T,) is the time of each frame, in units of the median frame; contraction is positive. `velocity_window`, in
     frames, is the time over which a slope is taken, at least one frame. A number that the movie does not show is NaN: a
-    peak at the movie's end, a level that is not crossed, a beat of which a fifth of the frames is missing.
+    peak at the movie's end, a level that is not crossed, a beat of which a fifth of the frames is missing. So are all
+    numbers of a beat that was left out.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -55,6 +56,8 @@ def beat_shapes(signal: Floats, clock: Floats, beats: Beats, *, levels: Sequence
     curve = make_interp_spline(clock, np.stack([_filled(signal[:, i], clock) for i in usable], axis=1), k=3)
     ends = np.full((len(beats), parts), np.nan)
     for b, (start, stop) in enumerate(zip(beats.start, beats.stop, strict=True)):
+        if beats.left_out[b]:  # so that no period, and no rest, begins or ends at it
+            continue
         here = slice(int(start), int(min(stop + 1, count)))
         resting = _rest_lines(signal[here][:, usable], clock[here], beats.relaxed[here], float(clock[beats.peak[b]]))
         fine = np.linspace(clock[here][0], clock[here][-1], FINE * (here.stop - here.start - 1) + 1)

@@ -54,7 +54,7 @@ def test_the_same_run_again_leaves_maps_and_page_alone(ran: Outcome, plate: Path
     plan = make_plan(plate, config=SETTINGS, pattern="{well}")
     run_batch(plan, ran.out, extras=Extras(wells=12))
     assert [file.stat().st_mtime_ns for file in kept] == before
-    (ran.out / ".index").write_text("of a run that was killed before it wrote the page")
+    (ran.out / ".tables").write_text("of a run that was killed before it wrote the page")
     run_batch(plan, ran.out, extras=Extras(wells=12))
     assert (ran.out / "index.html").stat().st_mtime_ns > before[-1]
 

@@ -254,6 +254,7 @@ def test_without_scripts_numbers_text_and_picture_are_there(browser: Browser, re
 def test_what_is_missing_costs_no_widget(browser: Browser, tissue_analysis: Analysis, tmp_path: Path) -> None:
     beats = tissue_analysis.beats
     none = replace(beats, start=beats.start[:0], peak=beats.peak[:0], stop=beats.stop[:0], complete=beats.complete[:0],
+                   left_out=beats.left_out[:0],
                    beat_relaxed_px=beats.beat_relaxed_px[:0], findings=(Finding("x", "fail", "Nothing moves."),))
     bare = replace(tissue_analysis, beats=none, strain=None, um_per_px=None, time_s=None)
     page = open_page(browser, write_report(bare, tmp_path / "bare.html"))

@@ -109,7 +109,8 @@ def test_missed_extra_and_late_beats(perfect):
     def with_beats(keep, late=0):
         return replace(perfect, beats=replace(
             beats, start=beats.start[keep], peak=beats.peak[keep] + late, stop=beats.stop[keep],
-            complete=beats.complete[keep], beat_relaxed_px=beats.beat_relaxed_px[keep]))
+            complete=beats.complete[keep], left_out=beats.left_out[keep],
+            beat_relaxed_px=beats.beat_relaxed_px[keep]))
 
     assert scored(with_beats([0, 2])).missed_beats == beats.complete.sum() - 2
     assert scored(with_beats([0, 1, 1, 2])).extra_beats == 1

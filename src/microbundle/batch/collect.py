@@ -1,5 +1,5 @@
 """What is made of all movies: the tables `plate.csv` and `movies.csv`, in Parquet too where pyarrow is installed, plate
-maps, the index page, and a workbook.
+maps, the comparison of groups, pairs and doses, the index page, and a workbook.
 
 Rows stand in the order of the plan, and numbers as they stand in each result's `summary.csv`, so that two runs over the
 same movies give the same bytes.
@@ -18,11 +18,12 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any, cast
 
-from ..errors import ResultUnreadable
+from ..errors import ConfigError, ResultUnreadable
 from ..plate_maps import write_maps
 from ..plate_workbook import TIDY, write_plate_workbook
 from ..plates import Plate, State, WellMovie, plates_of
 from ..report import NAME
+from ..statistics.wells import comparable
 from ..workbook import check_writer, settings
 from .manifest import PLACES, SETTINGS
 from .plan import Plan
@@ -37,9 +38,10 @@ UNITS = ("", "_um", "_px", "_s", "_frames", "_un", "_kpa", "_um_per_s", "_px_per
 DRAWN = ("amplitude", "beat_rate_bpm", "shortening_amplitude", "e_cc_peak", "cd50", "contraction_velocity",
          "twitch_force", "synchrony_sd")
 """Metrics of which plate maps are drawn; the index and the workbook show all of `KEY_METRICS`."""
-PLATE, MOVIES, INDEX = "plate.csv", "movies.csv", "index.html"
-SHOWN = ".index"
-"""Hash of what the index was made of; a run that was killed before it wrote the index leaves an older one."""
+PLATE, MOVIES, INDEX, COMPARISON = "plate.csv", "movies.csv", "index.html", "comparison"
+MADE_OF = ".tables"
+"""Hash of the tables that the index and the comparison were made of; a run that was killed before it wrote them leaves
+that of older ones."""
 MEAN, ERROR = 1 + STATISTICS.index("mean"), 1 + STATISTICS.index("se")
 
 
@@ -111,8 +113,16 @@ def write_tables(out: Path, plan: Plan, statuses: Mapping[str, Status], files: l
     if extras.excel:
         tables = {"movies": out / MOVIES, TIDY: out / PLATE}
         files.append(write_plate_workbook(out, tables, plates, metrics, _about(plan), [*plan.notes, *notes]))
+    made_of = hashlib.sha256(b"".join((out / name).read_bytes() for name in (PLATE, MOVIES)))
+    made_of.update(f"{plan.version} {extras.wells}".encode())
+    changed |= _text(out / MADE_OF) != made_of.hexdigest()
+    if comparable(plan.columns) and means:
+        _comparison(out, files, notes, changed=changed)
     if plan.report and means:
-        _index(out, plan, statuses, plates, metrics, files, extras, changed=changed)
+        _index(out, plan, statuses, plates, metrics, files, changed=changed)
+    if changed:
+        with whole(out / MADE_OF) as stream:
+            stream.write(made_of.hexdigest())
 
 
 def read_summary(file: Path) -> Iterator[tuple[str, ...]]:
@@ -196,16 +206,14 @@ def _in_one_unit(shown: Sequence[str], metrics: Sequence[str]) -> list[str]:
 
 
 def _index(out: Path, plan: Plan, statuses: Mapping[str, Status], plates: Sequence[Plate], metrics: Sequence[str],
-           files: list[Path], extras: Extras, *, changed: bool) -> None:
+           files: list[Path], *, changed: bool) -> None:
     """Write the page over all movies, where it would be another than the one that is there."""
     from ..report import write_index
     from ..report.index import NoResult, Summary
     from .overview import read_overview
 
     page = out / INDEX
-    shown = hashlib.sha256(b"".join((out / name).read_bytes() for name in (PLATE, MOVIES)))
-    shown.update(f"{plan.version} {extras.wells}".encode())
-    if changed or not page.exists() or _text(out / SHOWN) != shown.hexdigest():
+    if changed or not page.exists():
         known = [name for name in plan.columns if name in PLACES or
                  (name not in SETTINGS and len({task.columns.get(name, "") for task in plan.tasks}) > 1)]
         listed: list[Summary | NoResult] = []
@@ -214,6 +222,18 @@ def _index(out: Path, plan: Plan, statuses: Mapping[str, Status], plates: Sequen
             listed.append(read_overview(out / RESULTS / task.key, columns) if status.state == "done" else
                           NoResult(task.movie, status.kind, status.message, columns))
         write_index(listed, page, title=plan.source.resolve().stem, plates=plates, metrics=metrics, overwrite=True)
-        with whole(out / SHOWN) as stream:
-            stream.write(shown.hexdigest())
     files.append(page)
+
+
+def _comparison(out: Path, files: list[Path], notes: list[str], *, changed: bool) -> None:
+    """Compare groups, pairs and doses, where the comparison would be another than the one that is there."""
+    from ..statistics.write import write_into
+
+    folder = out / COMPARISON
+    if changed or not folder.exists():
+        try:
+            write_into(out, folder, figures=True)
+        except ConfigError as why:
+            notes.append(f"no comparison: {why}")
+            return
+    files.append(folder)

@@ -26,10 +26,10 @@ SHOWN_FAILURES = 20
 
 
 def batch(source: Path, *, out: Path | None = None, pattern: str | None = None, workers: int | None = None,
-          config_file: Annotated[Path | None, Parameter(name="--config")] = None,
-          config: Annotated[Config | None, Parameter(name="*")] = None, report: bool = True,
-          excel: Switch = False, wells: int | None = None, retry_failed: Switch = False, dry_run: Switch = False,
-          events: Path | None = None, quiet: Switch = False, json: Switch = False) -> int:
+          cluster: str | None = None, config_file: Annotated[Path | None, Parameter(name="--config")] = None,
+          config: Annotated[Config | None, Parameter(name="*")] = None, report: bool = True, figures: Switch = False,
+          movies: Switch = False, excel: Switch = False, wells: int | None = None, retry_failed: Switch = False,
+          dry_run: Switch = False, events: Path | None = None, quiet: Switch = False, json: Switch = False) -> int:
     """Measure many movies, and write tables over all of them. The same line again continues where it was stopped.
 
     Parameters
@@ -41,11 +41,17 @@ def batch(source: Path, *, out: Path | None = None, pattern: str | None = None, 
     pattern
         Reads columns from the movies' names, such as {plate}_{well}; or a regular expression with named groups.
     workers
-        Movies that are measured at the same time; by default one for each processor.
+        Movies that are measured at the same time; by default one for each processor, or each worker of the cluster.
+    cluster
+        Measure on a Dask cluster: the address of its scheduler, or its scheduler file (needs the extra `cluster`).
     config_file
         TOML file of settings; flags win over it, and the manifest over both.
     report
         Write report.html for each movie, and an index page over all.
+    figures
+        Also write the folder figures/ of each result, with limits shared by all movies so that they can be compared.
+    movies
+        Also write the folder movies/ of each result, with limits shared by all movies.
     excel
         Also write plate.xlsx, one workbook of all tables (needs XlsxWriter).
     wells
@@ -66,7 +72,8 @@ def batch(source: Path, *, out: Path | None = None, pattern: str | None = None, 
     from .run import run_batch
     from .show import Tally, event_lines, progress
 
-    plan = make_plan(source, config=settings_from(config_file, config), pattern=pattern, report=report)
+    plan = make_plan(source, config=settings_from(config_file, config), pattern=pattern, report=report,
+                     figures=figures, movies=movies)
     out = out or Path(f"{source.resolve().stem}_microbundle_batch")
     if dry_run:
         _print_plan(plan, out, retry_failed, json)
@@ -84,7 +91,7 @@ def batch(source: Path, *, out: Path | None = None, pattern: str | None = None, 
         if not (quiet or json):
             tells.append(open_now.enter_context(progress(tally)))
         try:
-            outcome = run_batch(plan, out, workers=workers, retry=retry_failed, tell=tell,
+            outcome = run_batch(plan, out, workers=workers, cluster=cluster, retry=retry_failed, tell=tell,
                                 extras=Extras(excel, wells))
         except KeyboardInterrupt:
             open_now.close()
@@ -129,6 +136,10 @@ def _print_outcome(outcome: Outcome) -> None:
         print(f"{status.movie}: {status.kind}: {status.message}")
     if len(outcome.failed) > SHOWN_FAILURES:
         print(f"and {len(outcome.failed) - SHOWN_FAILURES} more, in movies.csv")
+    for movie, why in list(outcome.undrawn.items())[:SHOWN_FAILURES]:
+        print(f"no pictures of {movie}: {why}")
+    if len(outcome.undrawn) > SHOWN_FAILURES:
+        print(f"and of {len(outcome.undrawn) - SHOWN_FAILURES} more movies")
     for note in outcome.notes:
         print(f"info: {note}")
     for file in outcome.files:

@@ -53,12 +53,15 @@ class Plan:
     """Names of all columns that any movie has."""
     report: bool = True
     """Write a report for each movie, and an index over them."""
+    figures: bool = False
+    movies: bool = False
+    """Draw figures of each result, and movies, with limits shared over all of them."""
     notes: tuple[str, ...] = ()
     version: str = field(default_factory=lambda: version("microbundle"))
 
 
 def make_plan(source: Path | str, *, config: Config | None = None, pattern: str | None = None,
-              report: bool = True) -> Plan:
+              report: bool = True, figures: bool = False, movies: bool = False) -> Plan:
     """Plan the movies of a folder tree, a manifest or a single file.
 
     `pattern` reads further columns from the names (see `Pattern`); what a manifest says wins. Columns that are settings
@@ -91,14 +94,14 @@ def make_plan(source: Path | str, *, config: Config | None = None, pattern: str 
             own = Config.from_dict(merge(config.model_dump(exclude_unset=True), given), source=str(source))
             known[repr(given)] = own, _settings_hash(own, report)
         tasks.append(Task(movie, path, key, columns, *known[repr(given)]))
-    return Plan(source, tuple(tasks), tuple(ordered(set(names), names)), report, notes)
+    return Plan(source, tuple(tasks), tuple(ordered(set(names), names)), report, figures, movies, notes)
 
 
 def fingerprint(path: Path) -> str:
     """Hash the names, sizes and times of change of a movie's files and masks; "missing" where there is no movie."""
     total = hashlib.sha256()
     try:
-        for name, about in _files(path):
+        for name, about in _files(path.absolute()):
             total.update(f"{name}\0{about.st_size}\0{about.st_mtime_ns}\n".encode("utf-8", "surrogateescape"))
     except OSError:
         return "missing"

@@ -1,31 +1,30 @@
-"""Measure all movies of a plan in processes of this machine; what was done before and is unchanged is left alone.
+"""Measure all movies of a plan; what was done before and is unchanged is left alone.
 
-Each worker is a process with a pipe of its own, so that a worker that dies (killed, out of memory, a crash in a
-library) names the movie it was at. That movie is tried once more at the end, with no other beside it.
+The movies are measured by processes of this machine (`local`) or by the workers of a Dask cluster (`cluster`), both of
+which say of each movie what became of it, or that its worker died. Such a movie is tried once more at the end, with no
+other beside it. Pictures, where they are wanted, are drawn by the same workers when all is measured, for only then are
+the limits known that they share.
 """
 
 from __future__ import annotations
 
 import os
-import signal
-from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from multiprocessing import get_context
-from multiprocessing.connection import wait
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
+from ..decisions import decisions_hash
 from ..errors import ConfigError
-from ..events import Completed, Failed, Finished, Planned, Progressed, Started, TellBatch, ignore
+from ..events import Completed, Drawing, Drawn, Failed, Finished, Planned, TellBatch, ignore
+from .cluster import Cluster
 from .collect import Extras, write_tables
+from .limits import read_limits, shared_limits
+from .local import Processes
+from .pictures import LimitsJob, picture_jobs
 from .plan import Plan, Task, fingerprint
-from .state import Status, clear_partial, current, guarded, run_folder, write_status
-from .work import Job, job_of, serve
-
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-MOST_MOVIES = 10
-"""A worker makes room for a new one after so many movies, for its memory grows with each."""
+from .state import RESULTS, Status, clear_partial, current, guarded, run_folder, write_status
+from .work import Died, End, Job, Work, job_of, result_of
 
 
 @dataclass(frozen=True)
@@ -40,6 +39,8 @@ class Outcome:
     files: tuple[Path, ...]
     """Tables and index that were written."""
     notes: tuple[str, ...] = ()
+    undrawn: Mapping[str, str] = field(default_factory=dict)
+    """Movies whose pictures could not be drawn, and why."""
 
     @property
     def failed(self) -> list[Status]:
@@ -51,19 +52,30 @@ class Outcome:
         return sum(status.verdict == verdict for status in self.statuses.values())
 
 
-def run_batch(plan: Plan, out: Path | str, *, workers: int | None = None, retry: bool = False,
-              extras: Extras | None = None, tell: TellBatch = ignore) -> Outcome:
+class Workers(Protocol):
+    """Those who do the work, here or elsewhere."""
+
+    notes: list[str]
+    """What a person should know of them."""
+
+    def work(self, jobs: list[Work], tell: TellBatch, *, alone: bool = False) -> Iterator[tuple[Work, End]]:
+        """Do jobs and yield each, in any order, with what became of it; `alone` one after the other."""
+
+
+def run_batch(plan: Plan, out: Path | str, *, workers: int | None = None, cluster: str | None = None,
+              retry: bool = False, extras: Extras | None = None, tell: TellBatch = ignore) -> Outcome:
     """Measure the movies of a plan into a folder, and write the tables over all of them.
 
-    `workers` are processes, by default one for each processor. Movies that an earlier run has done into this folder,
-    with the same files, settings and version, are not measured again; with `retry` those that failed are. A movie that
-    fails is a row of the tables. `extras` are made beside the tables. `tell` hears of everything. Raises OutputError
-    where the folder is not ours, another run works in it, or the tables cannot be written; ConfigError for a wrong
-    number of workers, or extras that cannot be made.
+    `workers` are processes, by default one for each processor. With `cluster`, the address of a Dask scheduler or its
+    scheduler file, that cluster's workers measure; `workers` is then the most that are used. Movies that an earlier run
+    has done into this folder, with the same files, settings and version, are not measured again; with `retry` those
+    that failed are. A movie that fails is a row of the tables. `extras` are made beside the tables. `tell` hears of
+    everything. Raises OutputError where the folder is not ours, another run works in it, or the tables cannot be
+    written; ConfigError for a wrong number of workers, or extras that cannot be made; ClusterUnusable where the cluster
+    cannot be reached or used, or was lost: what is done is kept.
     """
     cores = processors()
-    workers = cores if workers is None else workers
-    if workers < 1:
+    if workers is not None and workers < 1:
         raise ConfigError(f"workers: expected 1 or more; found {workers}")
     extras = extras or Extras()
     extras.check(plan)
@@ -76,18 +88,21 @@ def run_batch(plan: Plan, out: Path | str, *, workers: int | None = None, retry:
         todo = [task for task in plan.tasks if task.movie not in known]
         unchanged = len(known)
         tell(Planned(len(plan.tasks), unchanged))
-        workers = max(1, min(workers, len(todo)))
-        jobs = [job_of(task, folder, plan, max(1, cores // workers)) for task in todo]
+        used = max(1, min(workers or cores, len(todo) or len(plan.tasks)))
+        crew = Processes(used) if cluster is None else Cluster(cluster, plan, folder, workers)
+        jobs: list[Work] = [job_of(task, folder, plan, max(1, cores // used)) for task in todo]
         try:
-            known |= _measure_all(jobs, workers, tell)
+            with crew:
+                known |= _measure_all(jobs, crew, tell)
+                undrawn = _draw_all(plan, folder, known, crew, tell)
         finally:
             clear_partial(folder)
         statuses = {task.movie: known[task.movie] for task in plan.tasks}
         files: list[Path] = []
-        notes: list[str] = []
+        notes = [*plan.notes, *crew.notes]
         guarded(folder, lambda: write_tables(folder, plan, statuses, files, notes, changed=bool(todo),
-                                              extras=extras))
-        outcome = Outcome(folder, statuses, unchanged, tuple(files), (*plan.notes, *notes))
+                                             extras=extras))
+        outcome = Outcome(folder, statuses, unchanged, tuple(files), tuple(notes), undrawn)
     tell(Completed(len(plan.tasks), outcome.count("pass"), outcome.count("review"), outcome.count("fail"),
                    len(outcome.failed), str(folder)))
     return outcome
@@ -100,127 +115,71 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
-def _measure_all(jobs: list[Job], workers: int, tell: TellBatch) -> dict[str, Status]:
-    """Measure all jobs; those whose worker died once more, one by one."""
-    done: dict[str, Status] = {}
-    died: list[Job] = []
-    for job, end in _rounds(jobs, workers, tell):
-        if isinstance(end, Status):
-            done[job.task.movie] = end
-        else:
+def _twice(jobs: list[Work], crew: Workers, tell: TellBatch) -> Iterator[tuple[Work, End]]:
+    """Do all jobs; those whose worker died once more, one by one."""
+    died: list[Work] = []
+    for job, end in crew.work(jobs, tell):
+        if isinstance(end, Died):
             died.append(job)
-    for job, end in _rounds(died, 1, tell):
-        if not isinstance(end, Status):
-            end = _record_death(job, end)
-            tell(Failed(job.task.movie, end.kind, end.message))
-        done[job.task.movie] = end
+        else:
+            yield job, end
+    yield from crew.work(died, tell, alone=True)
+
+
+def _measure_all(jobs: list[Work], crew: Workers, tell: TellBatch) -> dict[str, Status]:
+    done: dict[str, Status] = {}
+    for job, end in _twice(jobs, crew, tell):
+        assert isinstance(job, Job)
+        status = _record_death(job, end.how) if isinstance(end, Died) else end
+        assert isinstance(status, Status)
+        if status.state == "done":
+            tell(Finished(status.movie, status.verdict, status.seconds))
+        else:
+            tell(Failed(status.movie, status.kind, status.message))
+        done[status.movie] = status
     return done
 
 
-def _rounds(jobs: list[Job], workers: int, tell: TellBatch) -> Iterator[tuple[Job, Status | str]]:
-    """Give the jobs to workers, and yield each with what became of it, or with how its worker died."""
-    waiting, crew = deque(jobs), list[_Worker]()
-    try:
-        while waiting or any(worker.job for worker in crew):
-            crew += [_Worker(workers == 1) for _ in range(min(workers - len(crew), len(waiting)))]
-            for worker in crew:
-                if worker.job is None and waiting:
-                    tell(Started(waiting[0].task.movie))
-                    worker.take(waiting.popleft())
-            for pipe in wait([worker.pipe for worker in crew if worker.job]):
-                worker = next(worker for worker in crew if worker.pipe is pipe)
-                heard = worker.hear()
-                if isinstance(heard, Progressed):
-                    tell(heard)
-                    continue
-                job, worker.job = worker.job, None
-                assert job is not None
-                worker.ended += 1
-                if isinstance(heard, str) or worker.ended == MOST_MOVIES:
-                    crew.remove(worker)
-                    worker.stop()
-                if isinstance(heard, str):
-                    yield job, heard
-                    continue
-                if heard.state == "done":
-                    tell(Finished(heard.movie, heard.verdict, heard.seconds))
-                else:
-                    tell(Failed(heard.movie, heard.kind, heard.message))
-                yield job, heard
-    finally:
-        for worker in crew:
-            worker.stop()
+def _draw_all(plan: Plan, out: Path, statuses: Mapping[str, Status], crew: Workers, tell: TellBatch) -> dict[str, str]:
+    """Draw the pictures that a plan wants and that are not there with the limits of this run; say which cannot be."""
+    if not (plan.figures or plan.movies):
+        return {}
+    undrawn: dict[str, str] = {}
+    tasks = [task for task in plan.tasks if statuses[task.movie].state == "done"]
+    without: list[Work] = [LimitsJob(task, out) for task in tasks if read_limits(out / RESULTS / task.key) is None]
+    for job, end in _twice(without, crew, ignore):
+        problem = _problem(job, end)
+        if problem:
+            undrawn[job.task.movie] = problem
+            tell(Drawn(job.task.movie, 0.0, problem))
+    found = {task.movie: read_limits(out / RESULTS / task.key) for task in tasks}
+    shared = shared_limits({movie: own for movie, own in found.items() if own is not None},
+                           {movie: statuses[movie].verdict for movie in found})
+    jobs, unchanged = picture_jobs(plan, out, shared)
+    tell(Drawing(len(shared), unchanged))
+    for job, end in _twice([*jobs], crew, tell):
+        problem = _problem(job, end)
+        if problem:
+            undrawn[job.task.movie] = problem
+        tell(Drawn(job.task.movie, end.seconds if isinstance(end, Drawn) else 0.0, problem))
+    return undrawn
 
 
-class _Worker:
-    """A process that measures one movie at a time."""
-
-    def __init__(self, alone: bool) -> None:
-        context = get_context("spawn")
-        self.pipe, theirs = context.Pipe()
-        self.job: Job | None = None
-        self.ended = 0
-        self.process = context.Process(target=serve, args=(theirs, alone), daemon=True)
-        with _environment({} if alone else dict.fromkeys(THREADS, "1")):
-            self.process.start()
-        theirs.close()  # so that the pipe closes when the worker dies
-
-    def take(self, job: Job) -> None:
-        """Begin a job."""
-        self.job = job
-        with suppress(OSError):  # it died while it waited; `hear` will say so
-            self.pipe.send(job)
-
-    def hear(self) -> Progressed | Status | str:
-        """Wait for news: progress, what became of the movie, or how the worker died."""
-        try:
-            heard: Progressed | Status = self.pipe.recv()
-            return heard
-        except (EOFError, OSError):
-            self.process.join()
-            self.pipe.close()
-            return _ending(self.process.exitcode or 0)
-
-    def stop(self) -> None:
-        """End the process, at once where it is at work."""
-        self.pipe.close()
-        if self.job is not None:
-            self.process.kill()
-        self.process.join()
+def _problem(job: Work, end: End) -> str:
+    if isinstance(end, Died):
+        return f"{job.task.movie}: the process that drew its pictures {end.how}, twice"
+    assert isinstance(end, Drawn)
+    return end.problem
 
 
-def _record_death(job: Job, ending: str) -> Status:
+def _record_death(job: Job, how: str) -> Status:
     """Write down that the worker died at a movie, twice."""
     status = Status(job.task.movie, "failed", fingerprint(job.task.path), job.task.settings, job.version,
-                    kind="WorkerDied", lasting=False,
-                    message=f"{job.task.movie}: the process that measured it {ending}, twice; the second time no other "
+                    decisions_hash(result_of(job)), kind="WorkerDied", lasting=False,
+                    message=f"{job.task.movie}: the process that measured it {how}, twice; the second time no other "
                             "ran beside it. Too little memory is the usual reason: see reading.crop_px")
     guarded(job.out, lambda: write_status(job.out, job.task.key, status))
     return status
-
-
-def _ending(code: int) -> str:
-    if code >= 0:
-        return f"ended with code {code}"
-    try:
-        return f"was killed by {signal.Signals(-code).name}"
-    except ValueError:
-        return f"was killed by signal {-code}"
-
-
-@contextmanager
-def _environment(wanted: Mapping[str, str]) -> Iterator[None]:
-    """Set variables of the environment that a process which starts in this block inherits."""
-    before = {name: os.environ.get(name) for name in wanted}
-    os.environ.update(wanted)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def waiting_for(movies: Iterable[Task], out: Path, plan: Plan) -> dict[str, str]:
@@ -230,5 +189,3 @@ def waiting_for(movies: Iterable[Task], out: Path, plan: Plan) -> dict[str, str]
         status = current(out, plan, task)
         found[task.movie] = "to do" if status is None else status.state
     return found
-
-

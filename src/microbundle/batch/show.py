@@ -1,4 +1,5 @@
-"""A run as it goes on: counts, a bar for people on the error stream, and lines of JSON for programs."""
+"""A run as it goes on: for people a bar, counts and what is being measured, on the error stream; for programs lines of
+JSON."""
 
 from __future__ import annotations
 
@@ -9,9 +10,31 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..errors import OutputError
-from ..events import BatchEvent, Failed, Finished, Planned, Progressed, Started, TellBatch, as_dict, ignore
+from ..events import (
+    BatchEvent,
+    Drawing,
+    Drawn,
+    Failed,
+    Finished,
+    Planned,
+    Progressed,
+    Started,
+    TellBatch,
+    as_dict,
+    ignore,
+)
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+MOST_LINES = 8
+"""Movies at work that are named below the bar; of more only the number is shown."""
+NAME_WIDTH, STAGE_WIDTH, BAR_WIDTH = 32, 22, 20
+COUNTED = {"pass": ("green", "pass"), "review": ("yellow", "review"), "fail": ("red", "fail"),
+           "failed": ("red", "without a result")}
 
 
 class Tally:
@@ -20,52 +43,108 @@ class Tally:
     def __init__(self) -> None:
         self.movies = self.unchanged = 0
         self.verdicts: Counter[str] = Counter()
-        self.shares: dict[str, float] = {}
-        """Of the movies that are being measured."""
+        self.at_work: dict[str, tuple[str, float]] = {}
+        """Stage and share of the movies that are being worked on."""
+        self.pictures: int | None = None
+        """Movies whose pictures are to be drawn; None until that begins."""
+        self.drawn = self.undrawn = 0
 
     def tell(self, event: BatchEvent) -> None:
         """Hear an event."""
         if isinstance(event, Planned):
             self.movies, self.unchanged = event.movies, event.unchanged
         elif isinstance(event, Started):
-            self.shares[event.movie] = 0.0
+            self.at_work[event.movie] = "starting", 0.0
         elif isinstance(event, Progressed):
-            self.shares[event.movie] = event.share
+            self.at_work[event.movie] = event.stage, event.share
         elif isinstance(event, Finished | Failed):
-            self.shares.pop(event.movie, None)
+            self.at_work.pop(event.movie, None)
             self.verdicts[event.verdict if isinstance(event, Finished) else "failed"] += 1
+        elif isinstance(event, Drawing):
+            self.pictures = event.movies - event.unchanged
+        elif isinstance(event, Drawn):
+            self.at_work.pop(event.movie, None)
+            self.drawn += not event.problem
+            self.undrawn += bool(event.problem)
 
     @property
     def ended(self) -> int:
-        """Movies that need no more work."""
+        """Movies that need no more measuring."""
         return self.unchanged + self.verdicts.total()
 
-    def __str__(self) -> str:
-        return " ".join(f"{self.verdicts[name]} {name}" for name in ("pass", "review", "fail", "failed")
-                        if self.verdicts[name])
+    @property
+    def done(self) -> float:
+        """What this run has done of the step it is at, in movies."""
+        whole = self.verdicts.total() if self.pictures is None else self.drawn + self.undrawn
+        return whole + sum(share for _, share in self.at_work.values())
+
+    @property
+    def to_do(self) -> int:
+        """Movies that this run has or had to work on in the step it is at."""
+        return self.movies - self.unchanged if self.pictures is None else self.pictures
 
 
 @contextmanager
 def progress(tally: Tally) -> Iterator[TellBatch]:
-    """Show a bar, the counts by verdict and the time left on the error stream; nothing where nobody looks at it."""
+    """Show a bar, the counts by verdict, the time left and the movies at work on the error stream; nothing where nobody
+    looks at it."""
     if not sys.stderr.isatty():
         yield ignore
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.live import Live
 
-    columns = (TextColumn("{task.fields[ended]}/{task.fields[movies]} movies"), BarColumn(),
-               TimeRemainingColumn(compact=True), TextColumn("{task.description}"))
-    with Progress(*columns, console=Console(stderr=True), transient=True, speed_estimate_period=600) as shown:
-        bar = shown.add_task("", total=None, ended=0, movies=0)
-
+    shown = Screen(tally)
+    with Live(get_renderable=shown, console=Console(stderr=True), transient=True, refresh_per_second=4) as live:
         def tell(event: BatchEvent) -> None:
-            shown.update(bar, total=tally.movies - tally.unchanged, description=str(tally), ended=tally.ended,
-                         completed=tally.verdicts.total() + sum(tally.shares.values()), movies=tally.movies)
             if isinstance(event, Failed):
-                shown.console.print(f"{event.movie}: {event.kind}", markup=False, highlight=False)
+                live.console.print(f"{event.movie}: {event.kind}", markup=False, highlight=False)
+            elif isinstance(event, Drawn) and event.problem:
+                live.console.print(f"no pictures of {event.movie}", markup=False, highlight=False)
 
         yield tell
+
+
+class Screen:
+    """What a person sees of a run: calling it gives the lines as they are now."""
+
+    def __init__(self, tally: Tally) -> None:
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (TextColumn("{task.fields[counted]}"), BarColumn(), TimeRemainingColumn(compact=True))
+        self._tally, self._bar = tally, Progress(*columns, speed_estimate_period=600)
+        self._step = self._bar.add_task("", total=None, counted="")
+        self._drawing = False
+
+    def __call__(self) -> RenderableType:
+        from rich.console import Group
+        from rich.text import Text
+
+        tally = self._tally
+        if tally.pictures is not None and not self._drawing:
+            self._drawing = True
+            self._bar.reset(self._step)
+        counted = (f"{tally.ended}/{tally.movies} movies" if tally.pictures is None else
+                   f"pictures of {tally.drawn + tally.undrawn}/{tally.pictures} movies")
+        self._bar.update(self._step, total=tally.to_do, completed=tally.done, counted=counted)
+        verdicts = [(f"{tally.verdicts[key]} {name}  ", colour) for key, (colour, name) in COUNTED.items()
+                    if tally.verdicts[key]]
+        return Group(self._bar, *([Text.assemble("  ", *verdicts)] if verdicts else []), *self._at_work())
+
+    def _at_work(self) -> list[RenderableType]:
+        from rich.progress_bar import ProgressBar
+        from rich.table import Table
+        from rich.text import Text
+
+        now = list(self._tally.at_work.items())
+        lines = Table.grid(padding=(0, 1))
+        for width in (NAME_WIDTH, STAGE_WIDTH, BAR_WIDTH):
+            lines.add_column(width=width, no_wrap=True, overflow="ellipsis")
+        for movie, (stage, share) in now[:MOST_LINES]:
+            name = movie if len(movie) <= NAME_WIDTH - 2 else f"…{movie[3 - NAME_WIDTH:]}"  # the end tells the well
+            lines.add_row(Text(f"  {name}"), Text(stage), ProgressBar(1.0, share, width=BAR_WIDTH))
+        more = len(now) - MOST_LINES
+        return [lines, *([Text(f"  and {more} more")] if more > 0 else [])]
 
 
 @contextmanager

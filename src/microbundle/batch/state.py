@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Literal
 
+from ..decisions import decisions_hash
 from ..errors import OutputError
 from ..folder import LIST
 from .plan import Plan, Task, fingerprint
@@ -34,6 +35,8 @@ class Status:
     """Fingerprint of the movie's files before it was measured."""
     settings: str
     version: str
+    decisions: str = ""
+    """Hash of a person's decisions that were replayed; empty where there were none."""
     verdict: str = ""
     """Of the result; empty where there is none."""
     beats: int = 0
@@ -60,11 +63,14 @@ def write_status(out: Path, key: str, status: Status) -> None:
 
 
 def current(out: Path, plan: Plan, task: Task) -> Status | None:
-    """Tell what became of a movie, where it would be the same again: unchanged input, settings and version."""
+    """Tell what became of a movie, where it would be the same again: unchanged input, settings, decisions and
+    version."""
     status = read_status(out, task)
     if status is None or not status.lasting or status.movie != task.movie:
         return None
     if (status.settings, status.version) != (task.settings, plan.version) or status.input != fingerprint(task.path):
+        return None
+    if status.decisions != decisions_hash(out / RESULTS / task.key):
         return None
     return status if status.state == "failed" or _has_table(out / RESULTS / task.key) else None
 

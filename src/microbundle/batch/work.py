@@ -1,21 +1,28 @@
 """One movie in a worker: measured, its result written, then what became of it. Whatever happens is told, not raised.
 
-A worker is a process that takes tasks from its pipe. It ends when the run ends, even where that was killed.
+A worker is a process that takes jobs from its pipe (`serve`), or one of a cluster's. One of this machine ends when the
+run ends, even where that was killed.
 """
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import os
 import signal
+import sys
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from ..decisions import decisions_hash
 from ..errors import MicrobundleError, OutputError
-from ..events import Progress, Progressed, Tell
+from ..events import Drawn, Progress, Progressed, Tell
+from .pictures import LimitsJob, PicturesJob, place
 from .plan import Plan, Task, fingerprint
 from .state import RESULTS, Status, write_status
 
@@ -32,36 +39,80 @@ class Job:
     version: str
     report: bool
     threads: int
+    limits: bool = False
+    """Write beside the result which limits its pictures would have."""
+
+
+@dataclass(frozen=True)
+class Died:
+    """What became of a job whose worker died."""
+
+    how: str
+
+
+Work = Job | LimitsJob | PicturesJob
+End = Status | Drawn | Died
+
+
+def result_of(job: Job) -> Path:
+    """Folder of the result of a job."""
+    return job.out / RESULTS / job.task.key
 
 
 def job_of(task: Task, out: Path, plan: Plan, threads: int) -> Job:
     """Make the job of a task of a plan."""
-    return Job(task, out, plan.version, plan.report, threads)
+    absolute = replace(task, path=task.path.absolute())  # a worker may work in another folder
+    return Job(absolute, out, plan.version, plan.report, threads, plan.figures or plan.movies)
 
 
 def serve(pipe: Connection, alone: bool) -> None:
     """Take jobs from the pipe until it closes, and send back progress and what became of each."""
-    import logging
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run decides when to stop
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)
     threading.Thread(target=_end_with_run, daemon=True).start()
-    if not alone:
-        import cv2
-
-        cv2.setNumThreads(1)
+    settle(None if alone else 1)
     while True:
         try:
             job = pipe.recv()
-            pipe.send(measure(job, _telling(pipe, job.task.movie)))
+            pipe.send(do(job, _telling(pipe, job.task.movie)))
         except (EOFError, OSError):
             return
+
+
+def settle(threads: int | None) -> None:
+    """Make a process a worker: OpenCV takes so many threads, and libraries keep quiet about damaged files."""
+    import logging
+
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)
+    if threads is not None:
+        import cv2
+
+        cv2.setNumThreads(threads)
+
+
+def do(job: Work, tell: Tell) -> Status | Drawn:
+    """Do a job of any kind, and give back the memory that it took; never raises."""
+    try:
+        return measure(job, tell) if isinstance(job, Job) else job.do(tell)
+    finally:
+        _let_go()
+
+
+def _let_go() -> None:
+    """Free what is no longer needed but holds itself in circles, and return to the system what glibc would keep.
+
+    Without it a worker grows by some 20 MB with each movie.
+    """
+    gc.collect()
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):  # another C library than glibc
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 def measure(job: Job, tell: Tell) -> Status:
     """Measure one movie, write its result folder and then its status; never raises."""
     task, start = job.task, time.perf_counter()
-    status = Status(task.movie, "failed", fingerprint(task.path), task.settings, job.version)
+    status = Status(task.movie, "failed", fingerprint(task.path), task.settings, job.version,
+                    decisions_hash(result_of(job)))
     try:
         verdict, beats = _measured(job, tell)
         status = replace(status, state="done", verdict=verdict, beats=beats)
@@ -74,7 +125,7 @@ def measure(job: Job, tell: Tell) -> Status:
                                  "workers, or a crop (reading.crop_px)")
     except Exception as error:  # a mistake in the program must not take the other movies along
         status = replace(status, kind=type(error).__name__, lasting=False,
-                         message=f"{task.movie}: the program failed: {error} ({_place(error)}); please report this")
+                         message=f"{task.movie}: the program failed: {error} ({place(error)}); please report this")
     status = replace(status, seconds=round(time.perf_counter() - start, 3))
     try:
         write_status(job.out, task.key, status)
@@ -87,27 +138,33 @@ def measure(job: Job, tell: Tell) -> Status:
 
 def _measured(job: Job, tell: Tell) -> tuple[str, int]:
     from ..config import Config, merge
+    from ..decisions import read_decisions
     from ..metrics import tables
     from ..pipeline import analyze
     from ..read import read_movie
     from ..report import NAME, write_report
     from ..store import save
+    from .limits import write_limits
     from .overview import write_overview
 
-    config = job.task.config
+    decided = read_decisions(result_of(job))
+    config = decided.over(job.task.config)
     if config.registration.threads is None:
         config = Config.from_dict(merge(config.model_dump(exclude_unset=True),
                                         {"registration": {"threads": job.threads}}))
     part = config.reading
     opened = read_movie(job.task.path, series=part.series, channel=part.channel, z=part.z)
-    analysis = analyze(replace(opened, name=job.task.movie), config, tell=tell)
+    analysis = analyze(replace(opened, name=job.task.movie), config, decisions=decided, tell=tell)
     made = tables(analysis)
 
     def beside(folder: Path) -> None:
-        write_report(analysis, folder / NAME, made=made)
-        write_overview(analysis, made["summary"], folder)
+        if job.report:
+            write_report(analysis, folder / NAME, made=made)
+            write_overview(analysis, made["summary"], folder)
+        if job.limits:
+            write_limits(analysis, folder)
 
-    save(analysis, job.out / RESULTS / job.task.key, overwrite=True, made=made, extra=beside if job.report else None)
+    save(analysis, result_of(job), overwrite=True, made=made, extra=beside)
     return analysis.verdict, int(analysis.beats.complete.sum())
 
 
@@ -131,10 +188,3 @@ def _end_with_run() -> None:
         run.join()
         os._exit(1)
 
-
-def _place(error: Exception) -> str:
-    """File and line in which an error arose."""
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    return "" if trace is None else f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"

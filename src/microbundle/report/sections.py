@@ -116,8 +116,7 @@ def beat_table(analysis: Analysis, rows: pd.DataFrame, caption: str, names: Sequ
     known = terms(analysis)
     shown = [term for term in best_unit(known, [str(c) for c in rows.columns]) if rows[term.column].notna().any()]
     if names is None:
-        names = [f"beat {beat + 1}{'' if whole else ' (cut off)'}" for beat, whole in
-                 zip(rows["beat"], rows["complete"], strict=True)]
+        names = [analysis.beats.label(int(beat)) for beat in rows["beat"]]
     body = []
     for term in shown:
         values = rows[term.column].to_numpy(float)
@@ -160,8 +159,8 @@ def _pillar_tables(analysis: Analysis, made: Mapping[str, pd.DataFrame]) -> Html
     if analysis.pillars is None:
         return tag("p", why_no_pillars(analysis), class_="reason")
     rows = made["pillars"].sort_values(["pillar", "beat"], kind="stable")
-    names = [f"pillar {pillar}, beat {beat + 1}{'' if whole else ' (cut off)'}" for pillar, beat, whole in
-             zip(rows["pillar"], rows["beat"], rows["complete"], strict=True)]
+    names = [f"pillar {pillar}, {analysis.beats.label(int(beat))}" for pillar, beat in
+             zip(rows["pillar"], rows["beat"], strict=True)]
     parts = [beat_table(analysis, rows, "Pillars, beat by beat, ± standard error of the measurement", names)]
     if len(made["budget"]):
         body = [(str(row["quantity"]), str(row["source"]), number(row["se_pct"], 2) if np.isfinite(row["se_pct"])

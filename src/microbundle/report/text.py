@@ -7,10 +7,10 @@ from pathlib import PurePath
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
 
 from ..analysis import Analysis
-from ..config import Config
+from ..config import Config, flat
+from ..decisions import MarkBeat
 from ..draws import COUNT as DRAWS
 from ..force import stiffness
 from .page import number
@@ -25,11 +25,13 @@ NOT_OF_METHOD = ("method", "fps", "um_per_px")
 
 def summary_sentence(analysis: Analysis) -> str:
     """Say in one sentence what was looked at."""
-    beats, whole = len(analysis.beats), int(analysis.beats.complete.sum())
+    whole, out = int(analysis.beats.complete.sum()), int(analysis.beats.left_out.sum())
+    beats = len(analysis.beats) - out
     rate = analysis_rate(analysis)
     duration = "" if analysis.time_s is None else f" ({number(float(analysis.time_s[-1] - analysis.time_s[0]), 3)} s)"
     cut = f", and {_count(beats - whole, 'beat')} that the movie cuts off" if beats > whole else ""
-    return (f"{_count(whole, 'whole beat')}{cut}, in {_count(analysis.frame_count, 'frame')}{duration} of "
+    by_person = f", {_count(out, 'beat')} that a person left out" if out else ""
+    return (f"{_count(whole, 'whole beat')}{cut}{by_person}, in {_count(analysis.frame_count, 'frame')}{duration} of "
             f"{analysis.image.shape[0]} × {analysis.image.shape[1]} px{rate}; method {analysis.config.method}.")
 
 
@@ -94,13 +96,19 @@ def _about_motion(a: Analysis) -> Iterator[str]:
 
 
 def _about_beats(a: Analysis) -> Iterator[str]:
-    whole, count = int(a.beats.complete.sum()), len(a.beats)
-    if count == 0:
+    whole, out = int(a.beats.complete.sum()), int(a.beats.left_out.sum())
+    count = len(a.beats) - out
+    if len(a.beats) == 0:
         yield "No beat was found above the movie's detection limit."
         return
     cut = f" ({count - whole} more cut off by the movie's ends)" if count > whole else ""
     yield (f"{_count(whole, 'whole beat')}{cut} {'was' if whole == 1 else 'were'} found in the mean absolute "
            "displacement; each was measured from its own relaxed state. Values are means over whole beats.")
+    if out:
+        yield f"{_count(out, 'beat')} {'was' if out == 1 else 'were'} left out by hand."
+    marked = sum(isinstance(one, MarkBeat) for one in a.decisions.listed)
+    if marked:
+        yield f"{_count(marked, 'beat')} {'was' if marked == 1 else 'were'} marked by hand."
 
 
 def _about_strain(a: Analysis) -> Iterator[str]:
@@ -134,22 +142,13 @@ def _about_errors(a: Analysis) -> str:
 
 def changed_settings(config: Config) -> dict[str, Any]:
     """Find the settings that differ from the defaults: dotted name -> value."""
-    now, usual = dict(_flat(config)), dict(_flat(Config()))
+    now, usual = (dict(flat(one.model_dump())) for one in (config, Config()))
     return {name: value for name, value in now.items() if value != usual[name]}
 
 
 def all_settings(config: Config) -> dict[str, Any]:
     """All settings: dotted name -> value."""
-    return dict(_flat(config))
-
-
-def _flat(model: BaseModel, above: str = "") -> Iterator[tuple[str, Any]]:
-    for name in type(model).model_fields:
-        value = getattr(model, name)
-        if isinstance(value, BaseModel):
-            yield from _flat(value, f"{above}{name}.")
-        else:
-            yield f"{above}{name}", value
+    return dict(flat(config.model_dump()))
 
 
 def provenance(analysis: Analysis) -> Mapping[str, str]:

@@ -36,9 +36,10 @@ def page_data(analysis: Analysis, made: Mapping[str, pd.DataFrame]) -> dict[str,
         "name": analysis.name,
         "time": rounded(time, 6), "time_unit": "s" if step is not None else "frames",
         "length_unit": "px" if analysis.um_per_px is None else "µm", "view": view_box(analysis),
-        "beats": [{"start": int(a), "peak": int(p), "stop": int(z), "complete": bool(whole), "time": at} for
-                  a, p, z, whole, at in zip(beats.start, beats.peak, beats.stop, beats.complete,
-                                            rounded(_peak_times(analysis, made["beats"], time), 6), strict=True)],
+        "beats": [{"start": int(beats.start[b]), "peak": int(beats.peak[b]), "stop": int(beats.stop[b]),
+                   "complete": bool(beats.complete[b]), "left_out": bool(beats.left_out[b]), "name": beats.label(b),
+                   "time": at}
+                  for b, at in enumerate(rounded(_peak_times(analysis, made["beats"], time), 6))],
         "signals": signals(analysis, made), "strain": strain(analysis, made["strain"]),
         "map": displacement(analysis), "loop": loop(analysis, made),
     }

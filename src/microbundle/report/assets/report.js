@@ -220,7 +220,7 @@ function startOverlay() {
   };
   const cut = (line) => data.beats.map((beat, b) => {
     const stop = Math.min(frames, beat.stop + 1), part = (list) => list?.slice(beat.start, stop) ?? null;
-    return { name: `beat ${b + 1}${beat.complete ? "" : " (cut off)"}`, x: part(data.time).map((t) => t - beat.time),
+    return { name: beat.name, x: part(data.time).map((t) => t - beat.time),
       y: part(line.y), se: part(line.se), colour: b % 6 + 1, cut: !beat.complete };
   });
   const { title, unit, line } = chosen();
