@@ -37,8 +37,9 @@ class PlateMap {
       return link;
     });
     this.wells[0]?.setAttribute("tabindex", "0");
-    this.svg.addEventListener("keydown", (event) => this.move(event));
-    this.svg.addEventListener("focusin", (event) => this.stay(event.target.closest(".well")));
+    this.box = make("div", { class: "map" }, this.svg); // Chromium lets an SVG itself take the focus where it listens.
+    this.box.addEventListener("keydown", (event) => this.move(event));
+    this.box.addEventListener("focusin", (event) => this.stay(event.target.closest(".well")));
   }
 
   x(column) { return EDGE + column * this.size; }
@@ -144,7 +145,7 @@ function showPlates(data) {
   home.append(draw("svg", { width: 0, height: 0, "aria-hidden": "true" }, draw("defs", {}, pattern)));
   const maps = data.plates.map((plate) => new PlateMap(plate, data));
   maps.forEach((map, k) => home.append(make("figure", {},
-    make("figcaption", {}, data.plates[k].name || "Plate"), make("div", { class: "map" }, map.svg))));
+    make("figcaption", {}, data.plates[k].name || "Plate"), map.box)));
   data.metrics.forEach((metric, k) => choose.append(make("option", { value: k },
     metric.unit ? `${metric.name} (${metric.unit})` : metric.name)));
   if (data.groups.length) choose.append(make("option", { value: GROUPS }, "Groups"));
