@@ -9,14 +9,19 @@ of one are shown too; without it, their pictures in docs/gallery stay as they ar
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 from microbundle import Analysis, Config, analyze, read_movie
+from microbundle.batch.plan import make_plan
+from microbundle.batch.run import run_batch
 from microbundle.figures import KINDS, draw, why_not
 from microbundle.movies import write_movie
 from microbundle.style import settings
 from microbundle.synth.cases import camera, case_set
+from microbundle.synth.plate import render_plate
 from microbundle.synth.validate import draw as draw_frames
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -32,6 +37,10 @@ SECTIONS = {
     "Pillars and forces": ("pillar_displacement", "force", "force_length"),
 }
 REAL = ("signal", "beats", "force", "force_length", "strain_cc_series")
+PLATES = {"amplitude_um": "Contraction amplitude in each well", "groups": "Groups of the wells"}
+PLATES_TEXT = """`microbundle batch` draws these for each plate and metric ([more](batch.md#plate-maps)). The plate is
+that of `microbundle example-plate --wells 24 --faults`, of whose wells half are spoilt.
+"""
 HEAD = """# Gallery
 
 Every kind of figure, as `microbundle analyze my_movie --figures --movies` writes it (there also as PDF), and in Python:
@@ -104,6 +113,16 @@ def real(folder: Path) -> None:
         picture(analysis, kind, f"real_{kind}")
 
 
+def plates() -> None:
+    """Maps of a rendered plate, of whose wells half are spoilt."""
+    with tempfile.TemporaryDirectory() as folder:
+        home = Path(folder)
+        plan = make_plan(render_plate(home / "plate", 24, faults=True), config=Config(method="fast"), report=False)
+        out = run_batch(plan, home / "out").out
+        for name in PLATES:
+            shutil.copyfile(out / "plate_maps" / f"P1_{name}.png", PICTURES / f"plate_{name}.png")
+
+
 def page(table: str) -> str:
     """The page, of the pictures that are there."""
     lines = [HEAD]
@@ -115,6 +134,9 @@ def page(table: str) -> str:
         if shown:
             lines += [f"## {title}\n", *(f"`{kind}`: {KINDS[kind].text}.\n\n![{KINDS[kind].text}](gallery/{kind}.png)\n"
                                          for kind in shown)]
+    shown = [name for name in PLATES if (PICTURES / f"plate_{name}.png").exists()]
+    if shown:
+        lines += ["## Plates\n", PLATES_TEXT, *(f"![{PLATES[name]}](gallery/plate_{name}.png)\n" for name in shown)]
     shown = [kind for kind in REAL if (PICTURES / f"real_{kind}.png").exists()]
     if shown:
         lines += ["## A real movie\n", "100 frames of the published tool's example, with the same stiffness.\n",
@@ -131,6 +153,7 @@ def last_table() -> str:
 def main() -> None:
     PICTURES.mkdir(parents=True, exist_ok=True)
     rendered()
+    plates()
     data = os.environ.get("MICROBUNDLE_DATA")
     if data:
         real(Path(data) / "type1_bright")

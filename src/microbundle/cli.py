@@ -40,6 +40,8 @@ app.command("microbundle.commands:demo", name="demo", help="Render a small beati
             "it, and print what was measured beside the truth.")
 app.command("microbundle.synth.commands:simulate", name="simulate", help="Render a movie with exactly known motion, in "
             "the paper's layout, with its truth beside it.")
+app.command("microbundle.synth.commands:example_plate", name="example-plate", help="Render a plate of small movies "
+            "with known truth, to try `batch` on.")
 app.command("microbundle.synth.commands:validate", name="validate", help="Measure the pipeline's error on movies whose "
             "motion is known, or on your own texture.")
 app.command("microbundle.synth.commands:compare_clicks", name="compare-clicks", help="Compare a result with points "

@@ -77,7 +77,7 @@ def _write(analysis: Analysis, path: Path, made: Mapping[str, pd.DataFrame]) -> 
     # Rows go to the disk one by one, so that long traces take no memory.
     with xlsxwriter.Workbook(path, {"constant_memory": True, "nan_inf_to_errors": False}) as book:
         book.set_properties({"title": f"microbundle analysis of {analysis.name}"})
-        sheets = _Sheets(book)
+        sheets = Sheets(book)
         for name in [*SHEETS, *(n for n in made if n not in SHEETS and n != BUDGET)]:
             if name in made and len(made[name].columns):
                 sheets.table(SHEETS.get(name, name), made[name], by_cell=name == "summary")
@@ -88,7 +88,7 @@ def _write(analysis: Analysis, path: Path, made: Mapping[str, pd.DataFrame]) -> 
         sheets.rows("metrics", ("column", "unit", "definition"), _definitions(analysis, made))
 
 
-class _Sheets:
+class Sheets:
     """A workbook that is being written, and its formats."""
 
     def __init__(self, book: Any) -> None:
@@ -171,7 +171,7 @@ def number_format(values: Sequence[Any], digits: int = DIGITS) -> str | None:
     return f"0.{'0' * decimals}" if decimals else "0"
 
 
-def _quality(sheets: _Sheets, analysis: Analysis) -> None:
+def _quality(sheets: Sheets, analysis: Analysis) -> None:
     """The verdict, and each finding with its number and limit."""
     counts = [f"{sum(f.level == level for f in analysis.findings)} {level}" for level in ("fail", "review", "info")]
     verdict = {"bold": True, "font_size": 14, "bg_color": TINT[analysis.verdict]}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib.util
+import io
 import json
 import os
 import signal
@@ -19,16 +20,18 @@ import numpy as np
 import pytest
 import xarray
 from numpy.typing import NDArray
+from rich.console import Console
 
 from microbundle import cli
 from microbundle.analysis import Analysis
 from microbundle.batch.overview import read_overview
 from microbundle.batch.plan import fingerprint, make_plan
 from microbundle.batch.run import Outcome, run_batch
+from microbundle.batch.show import Screen, Tally
 from microbundle.batch.state import current
 from microbundle.config import Config
 from microbundle.errors import ConfigError, OutputError
-from microbundle.events import BatchEvent, Completed, Failed, Finished, Planned, Progressed, Started
+from microbundle.events import BatchEvent, Completed, Drawing, Drawn, Failed, Finished, Planned, Progressed, Started
 from microbundle.report.index import summary_of_folder
 from microbundle.store import save
 
@@ -87,7 +90,9 @@ def test_the_tidy_table_has_a_row_for_each_movie_and_metric(ran: tuple[Outcome, 
 def test_an_index_leads_to_each_report(ran: tuple[Outcome, list[BatchEvent]]) -> None:
     page = (ran[0].out / "index.html").read_text(encoding="utf-8")
     assert 'href="results/A2/report.html"' in page
-    assert "B1.tif" not in page
+    assert 'href="results/B1.tif/report.html"' not in page
+    assert "MovieUnreadable: " in page
+    assert "6 movies: 1 pass, 1 review, 1 fail, 3 without a result." in page
     folder = ran[0].out / "results" / "A2"
     kept, made = read_overview(folder), summary_of_folder(folder)
     assert replace(kept, metrics={}) == replace(made, metrics={})
@@ -326,6 +331,27 @@ def test_events_for_programs_and_the_exit_code(
     assert "6 movies: " in out
     assert "3 without a result; 6 of them unchanged since an earlier run" in out
     assert "B1.tif: MovieUnreadable: " in out
+
+
+def test_a_person_sees_counts_and_what_is_being_measured() -> None:
+    tally = Tally()
+    screen = Screen(tally)
+    for event in (Planned(20, 2), *(Started(f"plate/{n}.tif") for n in range(11)), Finished("plate/0.tif", "pass", 1.0),
+                  Failed("plate/1.tif", "MovieUnreadable", ""), Progressed("plate/2.tif", "tracking", 0.5)):
+        tally.tell(event)
+    console = Console(width=80, file=io.StringIO())
+    console.print(screen())
+    console.file.flush()
+    seen = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert seen[0].startswith("4/20 movies ")
+    assert seen[1].strip() == "1 pass  1 without a result"
+    assert [part for part in seen[2].split() if part[0].isalnum() or "/" in part] == ["plate/2.tif", "tracking"]
+    assert seen[-1] == "  and 1 more"
+    assert tally.done == 2.5
+    tally.tell(Drawing(10, 3))
+    tally.tell(Drawn("plate/2.tif", 1.0))
+    console.print(screen())
+    assert "pictures of 1/7 movies" in console.file.getvalue()  # type: ignore[attr-defined]
 
 
 def test_a_dry_run_shows_the_plan_and_writes_nothing(

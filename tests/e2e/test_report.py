@@ -13,8 +13,9 @@ import pytest
 from microbundle.analysis import Analysis
 from microbundle.data import Finding
 from microbundle.metrics import tables
+from microbundle.plates import WellMovie, plates_of
 from microbundle.report import write_index, write_report
-from microbundle.report.index import summarize
+from microbundle.report.index import NoResult, summarize
 
 from ..known_pillars import with_pillars
 
@@ -276,3 +277,59 @@ def test_the_index_sorts_and_leads_to_reports(browser: Browser, tissue_analysis:
     assert page.locator("h1").inner_text() == "well 10"
     assert page.heard == []  # type: ignore[attr-defined]
     page.context.close()
+
+
+@pytest.fixture(scope="module")
+def plate_index(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An index over a plate of six wells, one of each kind."""
+    folder = tmp_path_factory.mktemp("plate")
+    movies = []
+    for name, state, mean in (("A1", "pass", 2.0), ("A2", "review", 3.5), ("A3", "fail", 9.0), ("B1", "failed", 0.0)):
+        means = {} if state == "failed" else {"amplitude_um": (mean, 0.12), "beat_rate_bpm": (10 * mean, 1.0)}
+        failed = {"kind": "NoTissue", "message": "nothing there"} if state == "failed" else {}
+        columns = {"plate": "P1", "well": name, "group": "drug" if name == "A2" else "vehicle"}
+        movies.append(WellMovie(name, columns, state, means, report="" if failed else f"{name}.html", **failed))
+    (folder / "A2.html").write_text("<h1>report of A2</h1>")
+    plates, _ = plates_of(movies)
+    rows = [NoResult(one.movie, "NoTissue", "nothing there", one.columns) for one in movies]
+    return write_index(rows, folder / "index.html", plates=plates, metrics=["amplitude_um", "beat_rate_bpm"])
+
+
+def test_a_plate_is_read_with_mouse_and_keyboard(browser: Browser, plate_index: Path) -> None:
+    page = open_page(browser, plate_index)
+    wells = page.locator("#maps .well")
+    assert wells.locator("text").all_text_contents() == ["2.00", "3.50"]
+    assert not page.locator("#plate-tables").is_visible()
+    wells.nth(1).hover()
+    tip = page.locator("#tip")
+    assert tip.inner_text().splitlines() == ["A2, drug", "Contraction amplitude: 3.50 ± 0.12 µm", "to be reviewed"]
+    wells.nth(3).hover()
+    assert "no result: NoTissue: nothing there" in tip.inner_text()
+    page.get_by_label("Show").select_option(label="Beat rate (beats/min)")
+    assert wells.locator("text").all_text_contents() == ["20.0", "35.0"]
+    page.get_by_label("Show").select_option(label="Groups")
+    assert page.locator("#scale").inner_text().split() == ["vehicle", "drug"]
+    page.get_by_label("Show").focus()
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.getAttribute('aria-label')").startswith("A1, vehicle")
+    page.keyboard.press("ArrowDown")
+    assert page.evaluate("document.activeElement.getAttribute('aria-label')").startswith("B1, vehicle, no result")
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Enter")
+    assert page.locator("h1").inner_text() == "report of A2"
+    assert page.heard == []  # type: ignore[attr-defined]
+    page.context.close()
+
+
+def test_a_plate_is_a_table_without_scripts_and_its_map_is_accessible(browser: Browser, plate_index: Path) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed")
+    page = open_page(browser, plate_index, java_script_enabled=False)
+    assert page.locator("#plate-tables td").all_inner_texts() == ["2.00", "3.50", "fail", "no result", "", ""]
+    assert not page.locator("#metric").is_visible()
+    page.context.close()
+    for scheme in ("light", "dark"):
+        page = open_page(browser, plate_index, color_scheme=scheme, bypass_csp=True)
+        found = axe.Axe().run(page).response["violations"]
+        assert [(one["id"], [node["html"] for node in one["nodes"]][:2]) for one in found] == []
+        page.context.close()

@@ -1,4 +1,5 @@
-"""The tables over all movies: `plate.csv`, `movies.csv`, Parquet where pyarrow is installed, and the index page.
+"""What is made of all movies: the tables `plate.csv` and `movies.csv`, in Parquet too where pyarrow is installed, plate
+maps, the comparison of groups, pairs and doses, the index page, and a workbook.
 
 Rows stand in the order of the plan, and numbers as they stand in each result's `summary.csv`, so that two runs over the
 same movies give the same bytes.
@@ -7,14 +8,24 @@ same movies give the same bytes.
 from __future__ import annotations
 
 import csv
+import hashlib
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
 from operator import itemgetter
 from pathlib import Path
+from typing import Any, cast
 
-from ..errors import ResultUnreadable
+from ..errors import ConfigError, ResultUnreadable
+from ..plate_maps import write_maps
+from ..plate_workbook import TIDY, write_plate_workbook
+from ..plates import Plate, State, WellMovie, plates_of
+from ..report import NAME
+from ..statistics.wells import comparable
+from ..workbook import check_writer, settings
+from .manifest import PLACES, SETTINGS
 from .plan import Plan
 from .state import RESULTS, TABLE, Status, whole
 
@@ -24,18 +35,43 @@ KEY_METRICS = ("tissue_width", "tissue_length", "beat_rate_bpm", "beat_period", 
                "twitch_force", "stress_rectangle", "stress_ellipse", "synchrony_sd")
 """Metrics of `movies.csv`, in all the units in which any movie has them."""
 UNITS = ("", "_um", "_px", "_s", "_frames", "_un", "_kpa", "_um_per_s", "_px_per_s", "_um_per_frame", "_px_per_frame")
-PLATE, MOVIES, INDEX = "plate.csv", "movies.csv", "index.html"
-LARGEST_INDEX = 500
-"""Movies on an index page; each is a picture of some kilobytes."""
-MEAN = 1 + STATISTICS.index("mean")
+DRAWN = ("amplitude", "beat_rate_bpm", "shortening_amplitude", "e_cc_peak", "cd50", "contraction_velocity",
+         "twitch_force", "synchrony_sd")
+"""Metrics of which plate maps are drawn; the index and the workbook show all of `KEY_METRICS`."""
+PLATE, MOVIES, INDEX, COMPARISON = "plate.csv", "movies.csv", "index.html", "comparison"
+MADE_OF = ".tables"
+"""Hash of the tables that the index and the comparison were made of; a run that was killed before it wrote them leaves
+that of older ones."""
+MEAN, ERROR = 1 + STATISTICS.index("mean"), 1 + STATISTICS.index("se")
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What is made of a run beside its tables."""
+
+    excel: bool = False
+    """Also write a workbook."""
+    wells: int | None = None
+    """Size of the plates; None for the smallest usual ones that have all wells of the plan."""
+
+    def check(self, plan: Plan) -> None:
+        """Check before a run that all can be made. Raises ConfigError."""
+        if self.excel:
+            check_writer()
+        if self.wells is not None:
+            plates_of((WellMovie(task.movie, task.columns, "failed", {}) for task in plan.tasks), self.wells)
 
 
 def write_tables(out: Path, plan: Plan, statuses: Mapping[str, Status], files: list[Path], notes: list[str], *,
-                 changed: bool) -> None:
-    """Write the tables of a run, and the index where anything `changed`; adds what was written to `files`, and what
-    was left out to `notes`. Raises OSError, and ResultUnreadable for a result that was tampered with."""
+                 changed: bool, extras: Extras | None = None) -> None:
+    """Write the tables of a run, the maps of its plates, and the index where anything `changed`; adds what was written
+    to `files`, and what was left out to `notes`. Raises OSError, and ResultUnreadable for a result that was tampered
+    with."""
     names = [name for metric in KEY_METRICS for name in (metric + unit for unit in UNITS)]
+    wanted = set(names)
+    extras = extras or Extras()
     means: dict[str, dict[str, str]] = {}
+    readings: dict[str, dict[str, tuple[float, float]]] = {}
     with whole(out / PLATE) as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(["movie", *plan.columns, "metric", *STATISTICS, "verdict"])
@@ -44,10 +80,12 @@ def write_tables(out: Path, plan: Plan, statuses: Mapping[str, Status], files: l
             if status.state != "done":
                 continue
             about = [task.movie, *(task.columns.get(name, "") for name in plan.columns)]
-            here = means[task.movie] = {}
+            here, read = means[task.movie], readings[task.movie] = {}, {}
             for row in read_summary(out / RESULTS / task.key / TABLE):
                 table.writerow([*about, *row, status.verdict])
                 here[row[0]] = row[MEAN]
+                if row[0] in wanted and row[MEAN]:
+                    read[row[0]] = float(row[MEAN]), float(row[ERROR] or "nan")
     known = {name for found in means.values() for name, mean in found.items() if mean}
     shown = [name for name in names if name in known]
     with whole(out / MOVIES) as stream:
@@ -67,8 +105,24 @@ def write_tables(out: Path, plan: Plan, statuses: Mapping[str, Status], files: l
     else:
         numbers = {*STATISTICS, "beats", *shown}
         files += [write_parquet(out / name, numbers) for name in (PLATE, MOVIES)]
+    plates = _plates(plan, statuses, readings, extras, notes)
+    metrics = _in_one_unit(shown, (*DRAWN, *(name for name in KEY_METRICS if name not in DRAWN)))
+    if plates:
+        drawn = write_maps(plates, _in_one_unit(shown, DRAWN), out)
+        files += [drawn] if drawn else []
+    if extras.excel:
+        tables = {"movies": out / MOVIES, TIDY: out / PLATE}
+        files.append(write_plate_workbook(out, tables, plates, metrics, _about(plan), [*plan.notes, *notes]))
+    made_of = hashlib.sha256(b"".join((out / name).read_bytes() for name in (PLATE, MOVIES)))
+    made_of.update(f"{plan.version} {extras.wells}".encode())
+    changed |= _text(out / MADE_OF) != made_of.hexdigest()
+    if comparable(plan.columns) and means:
+        _comparison(out, files, notes, changed=changed)
     if plan.report and means:
-        _index(out, plan, list(means), files, notes, changed=changed)
+        _index(out, plan, statuses, plates, metrics, files, changed=changed)
+    if changed:
+        with whole(out / MADE_OF) as stream:
+            stream.write(made_of.hexdigest())
 
 
 def read_summary(file: Path) -> Iterator[tuple[str, ...]]:
@@ -107,17 +161,79 @@ def write_parquet(table: Path, numbers: set[str]) -> Path:
     return table.with_suffix(".parquet")
 
 
-def _index(out: Path, plan: Plan, movies: list[str], files: list[Path], notes: list[str], *, changed: bool) -> None:
-    """Write the page over all results."""
+def _plates(plan: Plan, statuses: Mapping[str, Status], readings: Mapping[str, Mapping[str, tuple[float, float]]],
+            extras: Extras, notes: list[str]) -> list[Plate]:
+    """Put the movies into their plates; none where the plan has no wells."""
+    if "well" not in plan.columns:
+        return []
+    movies = []
+    for task in plan.tasks:
+        status = statuses[task.movie]
+        done = task.movie in readings
+        state = cast(State, status.verdict if done else "failed")
+        movies.append(WellMovie(task.movie, task.columns, state, readings.get(task.movie, {}), status.kind,
+                                " ".join(status.message.split()),
+                                f"{RESULTS}/{task.key}/{NAME}" if done and plan.report else ""))
+    plates, left_out = plates_of(movies, extras.wells)
+    if left_out:
+        notes.append(f"{left_out} movies are on no plate map: they name no well such as A1")
+    return plates
+
+
+def _about(plan: Plan) -> Iterator[tuple[str, str, Any, str]]:
+    """Everything that says how a run was made: part, name, value, meaning."""
+    yield "run", "source", str(plan.source), ""
+    yield "run", "movies", len(plan.tasks), ""
+    yield "run", "microbundle", plan.version, ""
+    each = [list(settings(config)) for config in {task.settings: task.config for task in plan.tasks}.values()]
+    for same in zip(*each, strict=True):
+        name, value, meaning = same[0]
+        alike = all(other[1] == value for other in same)
+        yield "setting", name, value if alike else "differs between movies", meaning
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return ""
+
+
+def _in_one_unit(shown: Sequence[str], metrics: Sequence[str]) -> list[str]:
+    """Columns of metrics that any movie has, each in the first of its units: in um rather than px."""
+    found = (next((metric + unit for unit in UNITS if metric + unit in shown), None) for metric in metrics)
+    return [name for name in found if name is not None]
+
+
+def _index(out: Path, plan: Plan, statuses: Mapping[str, Status], plates: Sequence[Plate], metrics: Sequence[str],
+           files: list[Path], *, changed: bool) -> None:
+    """Write the page over all movies, where it would be another than the one that is there."""
     from ..report import write_index
+    from ..report.index import NoResult, Summary
     from .overview import read_overview
 
-    if len(movies) > LARGEST_INDEX:
-        notes.append(f"no index page: it would hold {len(movies)} movies, of at most {LARGEST_INDEX}")
-        return
     page = out / INDEX
     if changed or not page.exists():
-        keys = {task.movie: task.key for task in plan.tasks}
-        shown = [read_overview(out / RESULTS / keys[movie]) for movie in movies]
-        write_index(shown, page, title=plan.source.resolve().stem, overwrite=True)
+        known = [name for name in plan.columns if name in PLACES or
+                 (name not in SETTINGS and len({task.columns.get(name, "") for task in plan.tasks}) > 1)]
+        listed: list[Summary | NoResult] = []
+        for task in plan.tasks:
+            status, columns = statuses[task.movie], {name: task.columns.get(name, "") for name in known}
+            listed.append(read_overview(out / RESULTS / task.key, columns) if status.state == "done" else
+                          NoResult(task.movie, status.kind, status.message, columns))
+        write_index(listed, page, title=plan.source.resolve().stem, plates=plates, metrics=metrics, overwrite=True)
     files.append(page)
+
+
+def _comparison(out: Path, files: list[Path], notes: list[str], *, changed: bool) -> None:
+    """Compare groups, pairs and doses, where the comparison would be another than the one that is there."""
+    from ..statistics.write import write_into
+
+    folder = out / COMPARISON
+    if changed or not folder.exists():
+        try:
+            write_into(out, folder, figures=True)
+        except ConfigError as why:
+            notes.append(f"no comparison: {why}")
+            return
+    files.append(folder)

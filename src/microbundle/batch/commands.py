@@ -28,8 +28,8 @@ SHOWN_FAILURES = 20
 def batch(source: Path, *, out: Path | None = None, pattern: str | None = None, workers: int | None = None,
           cluster: str | None = None, config_file: Annotated[Path | None, Parameter(name="--config")] = None,
           config: Annotated[Config | None, Parameter(name="*")] = None, report: bool = True, figures: Switch = False,
-          movies: Switch = False, retry_failed: Switch = False, dry_run: Switch = False, events: Path | None = None,
-          quiet: Switch = False, json: Switch = False) -> int:
+          movies: Switch = False, excel: Switch = False, wells: int | None = None, retry_failed: Switch = False,
+          dry_run: Switch = False, events: Path | None = None, quiet: Switch = False, json: Switch = False) -> int:
     """Measure many movies, and write tables over all of them. The same line again continues where it was stopped.
 
     Parameters
@@ -52,6 +52,10 @@ def batch(source: Path, *, out: Path | None = None, pattern: str | None = None, 
         Also write the folder figures/ of each result, with limits shared by all movies so that they can be compared.
     movies
         Also write the folder movies/ of each result, with limits shared by all movies.
+    excel
+        Also write plate.xlsx, one workbook of all tables (needs XlsxWriter).
+    wells
+        Size of the plates on maps: 6, 12, 24, 48, 96, 384 or 1536; by default the smallest that has all wells.
     retry_failed
         Measure movies again that failed, though nothing has changed.
     dry_run
@@ -63,6 +67,7 @@ def batch(source: Path, *, out: Path | None = None, pattern: str | None = None, 
     json
         Print a line of JSON for each thing that happens, for scripts; with --dry-run one JSON object.
     """
+    from .collect import Extras
     from .plan import make_plan
     from .run import run_batch
     from .show import Tally, event_lines, progress
@@ -86,7 +91,8 @@ def batch(source: Path, *, out: Path | None = None, pattern: str | None = None, 
         if not (quiet or json):
             tells.append(open_now.enter_context(progress(tally)))
         try:
-            outcome = run_batch(plan, out, workers=workers, cluster=cluster, retry=retry_failed, tell=tell)
+            outcome = run_batch(plan, out, workers=workers, cluster=cluster, retry=retry_failed, tell=tell,
+                                extras=Extras(excel, wells))
         except KeyboardInterrupt:
             open_now.close()
             told = f"interrupted; {tally.ended} of {tally.movies} movies are done and kept. The same line goes on there"

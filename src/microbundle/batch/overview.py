@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,13 +31,14 @@ def write_overview(analysis: Analysis, summary: pd.DataFrame, folder: Path) -> N
     (folder / FILE).write_text(json.dumps(kept) + "\n", encoding="utf-8")
 
 
-def read_overview(folder: Path) -> Summary:
-    """Read what the index shows of a result. Raises ResultUnreadable where the folder is no result."""
+def read_overview(folder: Path, columns: Mapping[str, str] | None = None) -> Summary:
+    """Read what the index shows of a result, with further columns. Raises ResultUnreadable where it is no result."""
+    columns = columns or {}
     try:
         kept = json.loads((folder / FILE).read_text(encoding="utf-8"))
         terms = {name: Term(name, METRICS[number], unit, error)
                  for name, (number, unit, error) in kept["terms"].items()}
         return Summary(kept["name"], kept["verdict"], tuple(kept["findings"]), kept["beats"], kept["metrics"], terms,
-                       kept["picture"], folder / NAME)
+                       kept["picture"], folder / NAME, columns)
     except (OSError, ValueError, TypeError, KeyError, IndexError):  # of another version, or damaged
-        return summary_of_folder(folder)
+        return replace(summary_of_folder(folder), columns=columns)

@@ -18,7 +18,7 @@ from ..decisions import decisions_hash
 from ..errors import ConfigError
 from ..events import Completed, Drawing, Drawn, Failed, Finished, Planned, TellBatch, ignore
 from .cluster import Cluster
-from .collect import write_tables
+from .collect import Extras, write_tables
 from .limits import read_limits, shared_limits
 from .local import Processes
 from .pictures import LimitsJob, picture_jobs
@@ -63,19 +63,22 @@ class Workers(Protocol):
 
 
 def run_batch(plan: Plan, out: Path | str, *, workers: int | None = None, cluster: str | None = None,
-              retry: bool = False, tell: TellBatch = ignore) -> Outcome:
+              retry: bool = False, extras: Extras | None = None, tell: TellBatch = ignore) -> Outcome:
     """Measure the movies of a plan into a folder, and write the tables over all of them.
 
     `workers` are processes, by default one for each processor. With `cluster`, the address of a Dask scheduler or its
     scheduler file, that cluster's workers measure; `workers` is then the most that are used. Movies that an earlier run
     has done into this folder, with the same files, settings and version, are not measured again; with `retry` those
-    that failed are. A movie that fails is a row of the tables. `tell` hears of everything. Raises OutputError where the
-    folder is not ours, another run works in it, or the tables cannot be written; ConfigError for a wrong number of
-    workers; ClusterUnusable where the cluster cannot be reached or used, or was lost: what is done is kept.
+    that failed are. A movie that fails is a row of the tables. `extras` are made beside the tables. `tell` hears of
+    everything. Raises OutputError where the folder is not ours, another run works in it, or the tables cannot be
+    written; ConfigError for a wrong number of workers, or extras that cannot be made; ClusterUnusable where the cluster
+    cannot be reached or used, or was lost: what is done is kept.
     """
     cores = processors()
     if workers is not None and workers < 1:
         raise ConfigError(f"workers: expected 1 or more; found {workers}")
+    extras = extras or Extras()
+    extras.check(plan)
     with run_folder(out) as folder:
         known: dict[str, Status] = {}
         for task in plan.tasks:
@@ -97,7 +100,8 @@ def run_batch(plan: Plan, out: Path | str, *, workers: int | None = None, cluste
         statuses = {task.movie: known[task.movie] for task in plan.tasks}
         files: list[Path] = []
         notes = [*plan.notes, *crew.notes]
-        guarded(folder, lambda: write_tables(folder, plan, statuses, files, notes, changed=bool(todo)))
+        guarded(folder, lambda: write_tables(folder, plan, statuses, files, notes, changed=bool(todo),
+                                             extras=extras))
         outcome = Outcome(folder, statuses, unchanged, tuple(files), tuple(notes), undrawn)
     tell(Completed(len(plan.tasks), outcome.count("pass"), outcome.count("review"), outcome.count("fail"),
                    len(outcome.failed), str(folder)))

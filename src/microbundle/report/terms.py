@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 
 from ..analysis import Analysis
 from ..dictionary import METRICS, Metric, columns
@@ -58,6 +59,23 @@ def terms(analysis: Analysis) -> dict[str, Term]:
             unit = name.removeprefix(metric.key).removeprefix("_")
             out[name] = Term(name, metric, pretty(unit), errors[i] if errors else None)
     return out
+
+
+@cache
+def _any_calibration() -> dict[str, Term]:
+    out: dict[str, Term] = {}
+    for um_per_px in (1.0, None):
+        for step_s in (1.0, None):
+            for metric in METRICS:
+                for name, _ in columns(metric, um_per_px, step_s):
+                    unit = name.removeprefix(metric.key).removeprefix("_")
+                    out.setdefault(name, Term(name, metric, pretty(unit), None))
+    return out
+
+
+def term_of(column: str) -> Term:
+    """Find the term of a column, whatever the calibration of its movie. Raises KeyError for what is no metric."""
+    return _any_calibration()[column]
 
 
 def pretty(unit: str) -> str:

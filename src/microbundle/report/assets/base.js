@@ -70,6 +70,15 @@ function showTips() {
   document.addEventListener("keydown", (event) => { if (event.key === "Escape") hide(); });
 }
 
+// The colours of viridis, and the colour at a share of a ramp.
+const RAMP = [[68, 1, 84], [72, 40, 120], [62, 74, 137], [49, 104, 142], [38, 130, 142], [31, 158, 137], [53, 183, 121],
+  [109, 205, 89], [180, 222, 44], [253, 231, 37]];
+
+function colour(ramp, share) {
+  const at = Math.max(0, Math.min(1, share)) * (ramp.length - 1), i = Math.min(ramp.length - 2, Math.floor(at));
+  return ramp[i].map((one, c) => Math.round(one + (at - i) * (ramp[i + 1][c] - one)));
+}
+
 // What several widgets share: the frame, the sub-domain, the range of time. Listeners hear of every change.
 class State {
   constructor(values) {

@@ -8,7 +8,8 @@ function sortBy(heads, column) {
   head.setAttribute("aria-sort", down ? "descending" : "ascending");
   const body = byId("movies").tBodies[0], sign = down ? -1 : 1;
   const value = (row) => row.cells[column].dataset.value;
-  const compared = (a, b) => (column === 0 ? names.compare(a, b) : Number(a) - Number(b));
+  const text = head.dataset.text !== undefined;
+  const compared = (a, b) => (text ? names.compare(a, b) : Number(a) - Number(b));
   const rows = [...body.rows].sort((one, other) => {
     const [a, b] = [value(one), value(other)];
     if (a === undefined || b === undefined) return (a === undefined) - (b === undefined);

@@ -1,7 +1,5 @@
 // Maps over the tissue's picture: displacement from the grid, strain from the sub-domains.
 
-const RAMP = [[68, 1, 84], [72, 40, 120], [62, 74, 137], [49, 104, 142], [38, 130, 142], [31, 158, 137], [53, 183, 121],
-  [109, 205, 89], [180, 222, 44], [253, 231, 37]];
 const DIVERGING = [[33, 60, 150], [58, 110, 190], [116, 165, 215], [180, 210, 235], [242, 242, 242], [245, 205, 180],
   [230, 150, 115], [200, 85, 65], [150, 20, 40]];
 const OPACITY = 0.72;
@@ -15,11 +13,6 @@ const QUANTITIES = [
   { id: "rr", name: "Strain E_rr, across the tissue", of: "strain", signed: true },
   { id: "rc", name: "Strain E_rc, shear", of: "strain", signed: true },
 ];
-
-function colour(ramp, share) {
-  const at = Math.max(0, Math.min(1, share)) * (ramp.length - 1), i = Math.min(ramp.length - 2, Math.floor(at));
-  return ramp[i].map((one, c) => Math.round(one + (at - i) * (ramp[i + 1][c] - one)));
-}
 
 class Maps {
   constructor(data) {
