@@ -23,6 +23,8 @@ app.command("microbundle.batch.commands:batch", name="batch", help="Measure many
             "stopped, and write tables over all of them.")
 app.command("microbundle.statistics.commands:compare", name="compare", help="Compare the wells of a run over many "
             "movies: groups, before and after, doses.")
+app.command("microbundle.web.commands:app", name="app", help="Open the app: a page in the browser, on this computer "
+            "alone, that does what the command line does.")
 app.command("microbundle.commands:info", name="info", help="Show what is inside a movie file or folder, and what would "
             "be taken from it.")
 app.command("microbundle.commands:decide", name="decide", help="Write down what a person decides about a movie: beats, "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -29,18 +30,19 @@ def print_rows(title: str, header: tuple[str, ...], rows: Sequence[tuple[str, ..
 def print_json(content: dict[str, Any]) -> None:
     """Print one JSON object; what is not a number becomes null."""
     import json
-    import math
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {str(k): plain(v) for k, v in value.items()}
-        if isinstance(value, list | tuple):
-            return [plain(v) for v in value]
-        if hasattr(value, "item"):
-            value = value.item()
-        return None if isinstance(value, float) and not math.isfinite(value) else value
 
     print(json.dumps(plain(content)))
+
+
+def plain(value: Any) -> Any:
+    """Make plain values for JSON: numpy's numbers become Python's, and what is not a number becomes None."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def number(value: float) -> str:

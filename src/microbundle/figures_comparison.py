@@ -109,7 +109,7 @@ def groups(comparison: Comparison, metric: str, phase: str = "") -> Figure:
     wells = [well for well in group_wells(run, phase) if metric in well.values]
     table = comparison.tables["comparison"]
     rows = table[(table["metric"] == metric) & (table["phase"] == phase)].set_index("group")
-    names = run.groups
+    names = (comparison.control, *(name for name in run.groups if name != comparison.control))
     figure, top, below = _two_panels(names, _plates(comparison), phase)
     for x, group in enumerate(names):
         mine = [well for well in wells if well.group == group]

@@ -136,7 +136,7 @@ def displacement(shown: Shown, width_mm: float, kind: str, limits: Limits | None
     if arrows:
         foot(page, f"arrows {_arrows(page.axes, shown)} times as long")
     assert page.bar is not None
-    colour_bar(page.figure, page.bar, image, f"{DISPLACEMENT[kind]} ({unit})")
+    colour_bar(page.figure, page.bar, image, f"{DISPLACEMENT[kind]} ({unit})", values[shown.peak_displacement[1]])
     return page.figure
 
 
@@ -242,7 +242,7 @@ def _tile_map(shown: Shown, width_mm: float, values: Floats, limits: Limits, tit
                            color="white" if dark else INK)
     foot(page, "" if known.all() else f"empty: no value ({int((~known).sum())})")
     assert page.bar is not None
-    colour_bar(page.figure, page.bar, shade, name)
+    colour_bar(page.figure, page.bar, shade, name, values)
     return page.figure
 
 

@@ -18,6 +18,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from .errors import OutputError
 from .plates import Plate, Well, groups_of, limits_of
 from .report.page import number
@@ -71,7 +73,7 @@ def draw_metric(plate: Plate, metric: str, limits: tuple[float, float], title: s
             _cell(axes, well, cell, colours.cmap(share) if known else None, number(value, 3) if known else "")
         height = min(plate.rows * cell, 60.0)
         bar = place(figure, LEFT_MM + plate.columns * cell + 3, TOP_MM, 3, height)
-        colour_bar(figure, bar, colours, _labelled(term))
+        colour_bar(figure, bar, colours, _labelled(term), np.array([well.reading(metric)[0] for well in plate.wells]))
         _legend(axes, plate, cell)
     return figure
 

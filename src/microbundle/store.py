@@ -6,11 +6,13 @@ units and descriptions as attributes.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
+import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +22,9 @@ from .analysis import Analysis
 from .config import Config
 from .data import (
     Beats,
+    Bools,
     Finding,
+    Floats,
     Grid,
     Markers,
     Masks,
@@ -44,6 +48,8 @@ if TYPE_CHECKING:
 
 RESULT = "result.nc"
 KIND = "results"
+SPARE = 2**20
+"""Bytes that a result may take beside its arrays."""
 SCHEMA = 2
 """Version of the layout of the result file; raised when a reader of the old one would be misled."""
 RC = ("row", "col")
@@ -102,6 +108,36 @@ def load(path: Path | str) -> Analysis:
         raise ResultUnreadable(f"{file}: the result cannot be read: {error}") from None
 
 
+@dataclass(frozen=True)
+class Glance:
+    """What a result says at a glance."""
+
+    frame_count: int
+    beat_count: int
+    time_s: Floats | None
+    """(T,), or None where the frame times are unknown."""
+    tissue: Bools
+    """(R, C)"""
+    pillars: tuple[Bools, ...]
+    findings: tuple[Finding, ...]
+
+
+def glance(path: Path | str) -> Glance:
+    """Read masks, times and findings of a result, in some milliseconds. Raises ResultUnreadable where it is not one."""
+    import h5netcdf
+
+    file = Path(path).expanduser() / RESULT
+    try:
+        with h5netcdf.File(file, "r") as data:
+            pillars = data["pillar_mask"][...] > 0 if "pillar_mask" in data.variables else ()
+            return Glance(data.dimensions["frame"].size, data.dimensions["beat"].size,
+                          data["time"][...] if "time" in data.variables else None, data["tissue"][...] > 0,
+                          tuple(pillars), tuple(Finding(**one) for listed in json.loads(data.attrs["findings"]).values()
+                                                for one in listed))
+    except Exception as error:  # HDF5 raises many kinds on damaged files
+        raise ResultUnreadable(f"{file}: the result cannot be read: {error}") from None
+
+
 def save_netcdf(analysis: Analysis, file: Path, made: Mapping[str, pd.DataFrame] | None = None) -> None:
     """Write a result as one NetCDF file, with the tables (`made`, where they are at hand) in groups of their own.
 
@@ -113,6 +149,8 @@ def save_netcdf(analysis: Analysis, file: Path, made: Mapping[str, pd.DataFrame]
     data = _with_errors(_to_dataset(analysis), analysis, made["strain"])
     packed = {name: {"zlib": True, "complevel": 1} for name, v in data.variables.items()
               if v.dtype.kind in "fiu" and v.size > 1000}
+    if shutil.disk_usage(file.parent).free < data.nbytes + SPARE:  # HDF5 may crash on a disk that becomes full
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(file))
     try:
         data.to_netcdf(file, engine="h5netcdf", encoding=packed)
         for name, table in made.items():

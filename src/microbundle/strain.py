@@ -54,11 +54,10 @@ def measure_strain(tracks: Tracks, beats: Beats, masks: Masks, config: Config) -
     found = (_of_markers(tracks, beats, tiling, config) if tracks.field is None
              else _of_field(tracks.field, beats, tiling, masks.tissue))
     r0, r1, c0, c1 = tiling.boxes.T
-    corners = np.stack([np.stack([r0, c0], 1), np.stack([r0, c1], 1), np.stack([r1, c1], 1), np.stack([r1, c0], 1)], 1)
     middle = np.stack([0.5 * (r0 + r1), 0.5 * (c0 + c1)], axis=1)
     return Strain(
         label=tiling.labels, grid=tiling.grid, side_px=tiling.side,
-        corner_px=to_image(corners, tiling.center, tiling.direction),
+        corner_px=tiling.corner_px,
         angle_deg=float(np.degrees(np.arctan2(tiling.direction[0], tiling.direction[1]))),
         center_px=to_image(middle + found.shift, tiling.center, tiling.direction),
         F=found.F, count=found.count, reason=found.reason,

@@ -85,11 +85,15 @@ def bare(axes: Axes) -> Axes:
     return axes
 
 
-def colour_bar(figure: Figure, axes: Axes, shown: ScalarMappable, label: str) -> None:
-    """Draw a colour bar into axes of its own."""
+def colour_bar(figure: Figure, axes: Axes, shown: ScalarMappable, label: str, values: Floats) -> None:
+    """Draw a colour bar into axes of its own, pointed where values lie beyond its end."""
     from matplotlib.cm import ScalarMappable
 
-    bar = figure.colorbar(ScalarMappable(shown.norm, shown.cmap), cax=axes)
+    low, high = shown.get_clim()
+    known = values[np.isfinite(values)]
+    under, over = (bool((known < low - 1e-9 * (high - low)).any()), bool((known > high + 1e-9 * (high - low)).any()))
+    bar = figure.colorbar(ScalarMappable(shown.norm, shown.cmap), cax=axes,
+                          extend=(("neither", "max"), ("min", "both"))[under][over])
     bar.set_label(label, fontsize=POINTS, labelpad=3)
     bar.ax.tick_params(labelsize=SMALL_POINTS, width=0.6, length=2.0, pad=1.5)
     bar.outline.set_linewidth(0.4)

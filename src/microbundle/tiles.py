@@ -15,7 +15,7 @@ from .axis import largest_region
 from .config import Config, StrainParams
 from .data import Bools, Floats, Masks
 from .errors import CannotMeasure
-from .geometry import to_tissue
+from .geometry import to_image, to_tissue
 from .published import paper_box, paper_frame
 
 
@@ -39,6 +39,14 @@ class Tiling:
         return np.stack([r0, r0 + self.side[0], c0, c0 + self.side[1]], axis=1)
 
     @property
+    def corner_px(self) -> Floats:
+        """Corners of each tile in the image (S, 4, 2), clockwise from the upper left in the tissue's axes."""
+        r0, r1, c0, c1 = self.boxes.T
+        corners = np.stack([np.stack([r0, c0], 1), np.stack([r0, c1], 1), np.stack([r1, c1], 1), np.stack([r1, c0], 1)],
+                           1)
+        return to_image(corners, self.center, self.direction)
+
+    @property
     def labels(self) -> tuple[str, ...]:
         return tuple(f"{_letters(r)}{c + 1}" for r in range(self.grid[0]) for c in range(self.grid[1]))
 
@@ -52,20 +60,30 @@ def place_tiles(masks: Masks, config: Config) -> Tiling:
     if config.method == "paper":
         return _paper_tiles(masks.tissue, params)
     center, direction = masks.axis.center_px, masks.axis.direction
-    if params.extents_px is not None:
-        r0, r1, c0, c1 = params.extents_px
-    else:
-        row, col = to_tissue(np.argwhere(largest_region(masks.tissue)).astype(float), center, direction).T
-        c0, c1 = _clipped(float(col.min()), float(col.max()), params.clip_columns)
-        part = row[(col >= c0) & (col <= c1)]
-        if part.size == 0:
-            raise CannotMeasure("strain: no tissue is left between the clipped ends; lower strain.clip_columns")
-        r0, r1 = _clipped(float(part.min()), float(part.max()), params.clip_rows)
+    r0, r1, c0, c1 = divided_rectangle(masks, params)
     r0, r1 = _clipped(r0, r1, params.shrink_rows)
     c0, c1 = _clipped(c0, c1, params.shrink_columns)
     grid, side = _fit(r1 - r0, c1 - c0, params)
     corner = 0.5 * np.array([r0 + r1 - grid[0] * side, c0 + c1 - grid[1] * side])
     return Tiling(corner, grid, (side, side), center, direction)
+
+
+def divided_rectangle(masks: Masks, params: StrainParams) -> tuple[float, float, float, float]:
+    """Find the rectangle that is divided, margins included: first row, end row, first column, end column in the
+    tissue's axes, as `strain.extents_px` gives it.
+
+    Raises CannotMeasure where no tissue is left.
+    """
+    if params.extents_px is not None:
+        return params.extents_px
+    tissue = np.argwhere(largest_region(masks.tissue)).astype(float)
+    row, col = to_tissue(tissue, masks.axis.center_px, masks.axis.direction).T
+    c0, c1 = _clipped(float(col.min()), float(col.max()), params.clip_columns)
+    part = row[(col >= c0) & (col <= c1)]
+    if part.size == 0:
+        raise CannotMeasure("strain: no tissue is left between the clipped ends; lower strain.clip_columns")
+    r0, r1 = _clipped(float(part.min()), float(part.max()), params.clip_rows)
+    return r0, r1, c0, c1
 
 
 def _paper_tiles(tissue: Bools, params: StrainParams) -> Tiling:

@@ -177,12 +177,12 @@ def test_workers_that_cannot_do_the_work_are_told(three: Path, tmp_path: Path, c
     cluster.worker("old", before="import importlib.metadata as m\n"
                                  "m.version = lambda name, was=m.version: "
                                  "'0.0.1' if name == 'microbundle' else was(name)")
-    plan = make_plan(three, config=SETTINGS, report=False)
+    plan = make_plan(three.parent / "M3.tif", config=SETTINGS, report=False)
     with pytest.raises(ClusterUnusable, match=r"expected a worker.*expected microbundle .* on it; found 0\.0\.1"):
         run_batch(plan, tmp_path / "out", cluster=cluster.address)
     cluster.worker("good")
     outcome = run_batch(plan, tmp_path / "out", cluster=cluster.address)
-    assert len(outcome.failed) == 1
+    assert [status.kind for status in outcome.failed] == ["MovieUnreadable"]
     assert ["found 0.0.1" in note for note in outcome.notes if "is not used" in note] == [True]
 
 

@@ -1,12 +1,8 @@
-"""Reports in a browser: what a reader does with mouse and keyboard, with the network off, light, dark and on paper.
-
-A Chromium is looked for on the PATH, then where Playwright keeps its own; without one the tests are skipped.
-"""
+"""Reports in a browser: what a reader does with mouse and keyboard, with the network off, light, dark and on paper."""
 
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -23,26 +19,10 @@ from microbundle.report.index import NoResult, summarize
 
 from ..known_pillars import with_pillars
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
-
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
 
-FLAGS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking"]
-PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 CONTRAST_AA = 4.5
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    found = next(filter(None, map(shutil.which, PROGRAMS)), None)
-    with sync_api.sync_playwright() as playwright:
-        try:
-            opened = playwright.chromium.launch(executable_path=found, args=FLAGS)
-        except sync_api.Error as error:
-            pytest.skip(f"no Chromium on the PATH and none of Playwright's: {str(error).splitlines()[0]}")
-        yield opened
-        opened.close()
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ import os
 import re
 import struct
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 from ..errors import ConfigError, MovieUnreadable
@@ -24,7 +25,7 @@ FILES = (*FRAMES, ".nd2", ".czi", ".lif", ".avi", ".mp4", ".mov", ".mkv")
 """Names of files that may hold a whole movie."""
 DESCRIPTION = 270
 """TIFF tag of the text in which ImageJ counts the frames of a file that lists only the first."""
-KINDS = ("results", "batch")
+KINDS = ("results", "batch", "app")
 """Kinds of folders that microbundle wrote, in which no movies are looked for."""
 LOOKED_AT = 5
 """Files of a folder that are looked at until one is a TIFF."""
@@ -56,10 +57,8 @@ def _below(folder: Path, above: frozenset[tuple[int, int]]) -> Iterator[Path]:
         listed = [entry for entry in entries if not entry.name.startswith(".")]
     if any(entry.name == LIST for entry in listed) and _holds_results(folder):
         return
-    folders = {entry.name for entry in listed if entry.is_dir()}
-    files = sorted((entry.name for entry in listed if entry.name.lower().endswith(FILES) and entry.name not in folders),
-                   key=lambda name: (natural_key(name), name))
-    layout = "movie" in folders and any(name.lower().endswith(FRAMES) for name in os.listdir(folder / "movie"))
+    folders, files = _sorted(listed)
+    layout = _has_layout(folder, folders)
     if layout or _one_movie(folder, files):
         yield folder
     else:
@@ -68,12 +67,50 @@ def _below(folder: Path, above: frozenset[tuple[int, int]]) -> Iterator[Path]:
         yield from _below(folder / name, above | {here})
 
 
+def kind_of(folder: Path, looked_at: int) -> str:
+    """Tell what a folder is: "movie", "result" (of one movie), "batch", "app", or just a "folder", by at most so many
+    of its entries. Raises OSError."""
+    written = _written(folder)
+    if written in KINDS:
+        return written.removesuffix("s")
+    with os.scandir(folder) as entries:
+        listed = [entry for entry in islice(entries, looked_at) if not entry.name.startswith(".")]
+    folders, files = _sorted(listed)
+    return "movie" if _has_layout(folder, folders) or _one_movie(folder, files) else "folder"
+
+
+def _sorted(listed: list[os.DirEntry[str]]) -> tuple[set[str], list[str]]:
+    """Folders, and files that may be movies in natural order."""
+    folders = {entry.name for entry in listed if is_folder(entry)}
+    return folders, sorted((entry.name for entry in listed
+                            if entry.name.lower().endswith(FILES) and entry.name not in folders),
+                           key=lambda name: (natural_key(name), name))
+
+
+def is_folder(entry: os.DirEntry[str]) -> bool:
+    """Tell whether an entry is a folder, or leads to one; a loop of links leads nowhere."""
+    try:
+        return entry.is_dir()
+    except OSError:
+        return False
+
+
+def _has_layout(folder: Path, folders: set[str]) -> bool:
+    """Tell whether a folder is a movie in the paper's layout."""
+    return "movie" in folders and any(name.lower().endswith(FRAMES) for name in os.listdir(folder / "movie"))
+
+
 def _holds_results(folder: Path) -> bool:
     """Tell whether microbundle wrote its results into a folder, rather than a rendered movie."""
+    return _written(folder) in KINDS
+
+
+def _written(folder: Path) -> str:
+    """What microbundle wrote into a folder; nothing for any other."""
     try:
-        return json.loads((folder / LIST).read_text(encoding="utf-8"))["kind"] in KINDS
+        return str(json.loads((folder / LIST).read_text(encoding="utf-8"))["kind"])
     except (OSError, ValueError, KeyError, TypeError):
-        return False
+        return ""
 
 
 def _one_movie(folder: Path, files: list[str]) -> bool:

@@ -111,7 +111,7 @@ def run_folder(out: Path | str) -> Iterator[Path]:
             for folder in (out / RESULTS, out / STATUS):
                 folder.mkdir(parents=True, exist_ok=True)
             lock = held.enter_context((out / LOCK).open("a"))
-            if not _lock(lock):
+            if not hold(lock):
                 raise OutputError(f"{out}: expected a folder that no other run writes into; one does. Wait for it, or "
                                   "choose another folder with --out")
             if not (out / LIST).exists():
@@ -168,7 +168,7 @@ def _check_ours(out: Path) -> None:
                           f"such as {others[0]}. Choose another with --out")
 
 
-def _lock(stream: IO[str]) -> bool:
+def hold(stream: IO[str]) -> bool:
     """Lock a file until this process ends, however it ends; False where another process holds it."""
     try:
         import fcntl

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 NAME = "report.html"
 LARGEST_MOVIE = 4_000_000
 """Bytes of a movie that a page may hold; a larger one is only mentioned."""
-STYLES = ("base.css", "report.css")
+STYLES = ("base.css", "chart.css", "report.css")
 SCRIPTS = ("base.js", "chart.js", "map.js", "report.js")
 
 

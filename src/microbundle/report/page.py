@@ -84,6 +84,15 @@ def embedded(data: Mapping[str, Any]) -> Html:
     return Html(text)
 
 
+def data_of(page: str) -> dict[str, Any]:
+    """Take the data out of a page that `make_page` made. Raises ValueError where there are none."""
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    data = json.loads(found[1]) if found else None
+    if not isinstance(data, dict):
+        raise ValueError("expected a page with data in it")
+    return data
+
+
 def number(value: float | None, digits: int = 4) -> str:
     """Write a number for people, with a real minus sign; what is not known is a dash."""
     if value is None or not math.isfinite(value):

@@ -11,7 +11,7 @@ plate's mean of a group (a cell) is one number, and the numbers are compared as 
 
 For balanced designs these are the exact tests of the mixed linear model with random plates, days and group x plate
 (the analysis of summary measures, J. N. S. Matthews et al., BMJ 300, 1990). Its intervals cover what they promise from
-two plates on, where a fit of the model by restricted likelihood does not (`benchmarks/plate_statistics.py`).
+two plates on, where a fit of the model by restricted likelihood falls short (`benchmarks/plate_statistics.py`).
 """
 
 from __future__ import annotations

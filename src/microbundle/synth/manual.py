@@ -82,9 +82,6 @@ def compare_clicks(analysis: Analysis, clicks: Clicks) -> list[Agreement]:
 
     Raises CannotMeasure where a frame is not in the movie, or no clicked point can be compared.
     """
-    if clicks.frame.min() < 0 or clicks.frame.max() >= analysis.frame_count:
-        raise CannotMeasure(f"clicks: expected frames from 0 to {analysis.frame_count - 1}; found "
-                            f"{clicks.frame.min()} to {clicks.frame.max()}")
     by_hand, found = displacements(analysis, clicks)
     people = sorted(set(clicks.person))
     spread = _spread(clicks, by_hand, people)
@@ -106,7 +103,13 @@ def compare_clicks(analysis: Analysis, clicks: Clicks) -> list[Agreement]:
 
 
 def displacements(analysis: Analysis, clicks: Clicks) -> tuple[Floats, Floats]:
-    """Displacement (K, 2) of each click from its point's first one, by hand and in the result; the first are NaN."""
+    """Displacement (K, 2) of each click from its point's first one, by hand and in the result; the first are NaN.
+
+    Raises CannotMeasure where a frame is not in the movie.
+    """
+    if clicks.frame.min() < 0 or clicks.frame.max() >= analysis.frame_count:
+        raise CannotMeasure(f"clicks: expected frames from 0 to {analysis.frame_count - 1}; found "
+                            f"{clicks.frame.min()} to {clicks.frame.max()}")
     by_hand, found = np.full(clicks.position_px.shape, np.nan), np.full(clicks.position_px.shape, np.nan)
     tracks = _tracks(clicks)
     first = np.array([track[0] for track in tracks])
