@@ -37,7 +37,7 @@ def test_from_the_example_to_a_zip(browser: Browser, plate: Path, tmp_path: Path
         expect(page.locator("#command")).to_contain_text("--config")
         page.locator("#go").click()
         expect(page.locator("#state")).to_have_text(re.compile("Waiting|Running"))
-        expect(page.locator("#table .badge.pass").nth(1)).to_be_visible(timeout=120_000)
+        expect(page.locator("#table .badge", has_text=re.compile("Pass|Review")).first).to_be_visible(timeout=120_000)
         page.get_by_role("button", name="Stop").click()
         expect(page.locator("#state")).to_have_text("Stopped", timeout=60_000)
         expect(page.locator("#go")).to_have_text("Go on")
@@ -46,7 +46,7 @@ def test_from_the_example_to_a_zip(browser: Browser, plate: Path, tmp_path: Path
         taken = zipfile.ZipFile(started.value.path())
         assert taken.testzip() is None
         kept = [name for name in taken.namelist() if name.endswith("report.html")]
-        assert len(kept) == sum(name.endswith("summary.csv") for name in taken.namelist()) >= 2
+        assert len(kept) == sum(name.endswith("summary.csv") for name in taken.namelist()) >= 1
         assert b"microbundle report" in taken.read(kept[0])
         page.context.close()
     finally:

@@ -17,8 +17,8 @@ from ..batch.state import whole
 
 State = Literal["preparing", "draft", "queued", "running", "done", "stopped", "failed"]
 ACTIVE = ("preparing", "queued", "running")
-PICTURES = ("figures", "movies")
-"""What a batch run may also make of each movie, as flags of the command."""
+EXTRAS = ("figures", "movies", "excel")
+"""What a batch run may make besides, as flags of the command."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ class Record:
     pattern: str | None = None
     figures: bool = False
     movies: bool = False
+    excel: bool = False
     queued: str | None = None
     started: str | None = None
     ended: str | None = None
@@ -128,7 +129,7 @@ def arguments(home: Home, record: Record) -> list[str]:
         out += ["--config", str(home.settings)]
     if record.pattern:
         out.append(f"--pattern={record.pattern}")
-    return out + [f"--{name}" for name in PICTURES if getattr(record, name)]
+    return out + [f"--{name}" for name in EXTRAS if getattr(record, name)]
 
 
 def command(home: Home, record: Record) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mimetypes
 import re
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -18,11 +18,14 @@ from ..batch.plan import Task
 from ..batch.state import RESULTS
 from ..data import Finding
 from ..errors import OutputError, ResultUnreadable
+from ..folder import LIST
 from ..metrics import tables
+from ..plates import WellMovie, plates_of
 from ..report import NAME
 from ..report.page import data_of
 from ..report.traces import page_data
 from ..store import RESULT, glance, load
+from ..wells import well_name
 from .answers import Refused, not_there
 from .records import Home
 
@@ -35,10 +38,11 @@ WHAT = {
     INDEX: "A page over all movies that leads to each report.",
     "plate.parquet": "Every metric of every movie, for programs.",
     "movies.parquet": "A row for each movie, for programs.",
+    "plate.xlsx": "All tables and plates in one workbook.",
 }
-WELLS = re.compile(r"([A-Za-z]{1,2})0*([1-9][0-9]{0,2})")
-SIZES = ((2, 3), (3, 4), (4, 6), (6, 8), (8, 12), (16, 24), (32, 48))
-"""Rows and columns of common plates: 6, 12, 24, 48, 96, 384 and 1536 wells."""
+FOLDERS = {"plate_maps": "A plate as a picture, for papers.", "comparison": "How groups, phases or doses compare.",
+           "comparison/prism": "A table to paste into Prism.", "comparison/figures": "A figure of the comparison."}
+"""Folders of a run, beside its movies' own, and what their files are."""
 
 
 class Results:
@@ -127,12 +131,16 @@ def files_of(home: Home, result: Path) -> list[dict[str, Any]]:
 
 def outputs_of(home: Home) -> list[dict[str, Any]]:
     """List the files that are about a whole run, with a sentence each."""
+    found = []
+    for folder in ("", *FOLDERS):
+        if (home.out / folder).is_dir():
+            found += [file for file in sorted((home.out / folder).iterdir())
+                      if file.is_file() and not file.name.startswith(".") and file.name != LIST]
     out = []
-    if home.out.is_dir():
-        for file in sorted(home.out.iterdir()):
-            if file.is_file() and not file.name.startswith(".") and file.name != "microbundle.json":
-                out.append({"path": file.name, "bytes": file.stat().st_size,
-                            "what": WHAT.get(file.name, "A file of this run.")})
+    for file in found:
+        inside = file.relative_to(home.out).parent.as_posix()
+        what = WHAT.get(file.name, "A file of this run.") if inside == "." else FOLDERS[inside]
+        out.append({"path": file.relative_to(home.out).as_posix(), "bytes": file.stat().st_size, "what": what})
     return out
 
 
@@ -153,25 +161,13 @@ def run_file(home: Home, path: str, *, inline: bool) -> Response:
                         headers={"content-security-policy": "sandbox; default-src 'none'; frame-ancestors 'none'"})
 
 
-def plates_of(tasks: Iterator[Task] | tuple[Task, ...]) -> list[dict[str, Any]]:
+def plates_told(tasks: Iterable[Task]) -> list[dict[str, Any]]:
     """Put the movies of a run into their plates: rows and columns of each, and which movie is in which well."""
-    plates: dict[str, list[dict[str, Any]]] = {}
-    for task in tasks:
-        found = WELLS.fullmatch(task.columns.get("well", "").strip())
-        if found is None:
-            continue
-        row = 0
-        for letter in found[1].upper():
-            row = 26 * row + ord(letter) - 64
-        plates.setdefault(task.columns.get("plate", ""), []).append(
-            {"well": task.columns["well"], "row": row - 1, "col": int(found[2]) - 1, "key": task.key,
-             "columns": dict(task.columns)})
-    out = []
-    for name, wells in plates.items():
-        rows, cols = 1 + max(one["row"] for one in wells), 1 + max(one["col"] for one in wells)
-        fits = next(((r, c) for r, c in SIZES if r >= rows and c >= cols), (rows, cols))
-        out.append({"name": name, "rows": fits[0], "cols": fits[1], "wells": wells})
-    return out
+    known = {task.movie: task for task in tasks}
+    plates, _ = plates_of(WellMovie(task.movie, task.columns, "failed", {}) for task in known.values())
+    return [{"name": plate.name, "rows": plate.rows, "cols": plate.columns, "wells": [
+        {"well": well_name(well.place), "row": well.place[0], "col": well.place[1], "key": known[movie.movie].key,
+         "columns": dict(movie.columns)} for well in plate.wells for movie in well.movies]} for plate in plates]
 
 
 def check_room(folder: Path, wanted: int) -> None:

@@ -11,7 +11,7 @@ from starlette.routing import Route
 from . import archive, settings, streams, uploads
 from .answers import Refused, answer, body_of, text_in
 from .desk import Desk
-from .results import outputs_of, plates_of, run_file
+from .results import outputs_of, plates_told, run_file
 
 WELLS = (6, 12, 24, 48, 96)
 EXAMPLE_WELLS = 24
@@ -107,7 +107,7 @@ async def _told(request: Request) -> Response:
 async def plate(request: Request) -> Response:
     desk, id = desk_of(request), run_of(request)
     plan = await desk.do("plan", desk.runs.plan, id)
-    return answer({"plates": plates_of(plan.tasks)})
+    return answer({"plates": plates_told(plan.tasks)})
 
 
 async def outputs(request: Request) -> Response:

@@ -25,13 +25,13 @@ from .answers import Refused, not_there
 from .example import render
 from .places import EXAMPLE, Places
 from .progress import Progress
-from .records import ACTIVE, PICTURES, Home, Record, command, new_id, now, read_records, toml, write_record
+from .records import ACTIVE, EXTRAS, Home, Record, command, new_id, now, read_records, toml, write_record
 
 PATIENCE = 40
 """Looks at a process that was asked to stop, until it is ended."""
 TRASH = "trash"
 CHANGED: dict[str, Any] = {"title": str, "settings": dict, "pattern": (str, type(None)),
-                           **dict.fromkeys(PICTURES, bool)}
+                           **dict.fromkeys(EXTRAS, bool)}
 """What may be changed of a run, and of which kind it is."""
 
 log = logging.getLogger(__name__)

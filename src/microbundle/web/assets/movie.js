@@ -8,7 +8,7 @@ import { startNotes } from "./notes.js";
 import { startResult } from "./result.js";
 import { startVerify } from "./verify.js";
 import { State, byId, make } from "./shared.js";
-import { badge, connection, drafts, moment, onClick, say, startTabs, trouble } from "./page.js";
+import { badge, connection, drafts, onClick, say, startTabs, trouble } from "./page.js";
 
 const TABS = {
   movie: startFrames,
@@ -149,11 +149,12 @@ async function start() {
       byId("again").disabled = ["queued", "running"].includes(now.state);
       const after = `${mine.state} ${mine.stale}`;
       if (after === before) return;
+      const ran = before.startsWith("running");
       before = after;
       try {
         await movie.load();
         movie.renew();
-        if (mine.state === "done" && !mine.stale) say(`Measured at ${moment(new Date().toISOString())}.`);
+        if (ran && mine.state === "done") say("Measured. The result is renewed.");
       } catch (error) {
         trouble(error);
       }

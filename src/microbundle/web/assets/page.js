@@ -96,8 +96,14 @@ export function duration(seconds) {
   return `${(seconds / 3600).toFixed(1)} hours`;
 }
 
-export const moment = (iso) =>
-  iso ? new Date(iso).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" }) : "";
+// Of an ISO text, or of seconds since 1970.
+export const moment = (when) =>
+  when
+    ? new Date(typeof when === "number" ? 1000 * when : when).toLocaleString(undefined, {
+        dateStyle: "medium",
+        timeStyle: "short",
+      })
+    : "";
 
 export const soon = (wait, action) => {
   let timer;

@@ -47,7 +47,7 @@ function render() {
     .join(" · ");
   byId("command").textContent = run.command;
   renderNext();
-  showTable();
+  if (!byId("table").hidden) showTable();
   settings?.show(byId("ask").dataset.for?.split(","));
   showPlate().catch(trouble);
   showFiles().catch(trouble);
@@ -251,7 +251,8 @@ function view(plate) {
   byId("as-table").setAttribute("aria-pressed", !plate);
   byId("as-plate").setAttribute("aria-pressed", plate);
   history.replaceState(null, "", plate ? "#plate" : location.pathname);
-  return showPlate();
+  if (run && !plate) showTable();
+  return run ? showPlate() : null;
 }
 
 // --- files ---------------------------------------------------------------------------------------------------------
@@ -326,11 +327,11 @@ byId("zip").href = `${ofRun(id)}/zip?movies=all`;
 byId("zip").setAttribute("download", "");
 
 try {
+  if (location.hash === "#plate") view(true);
   heard(await get(ofRun(id)));
   settings = new SettingsForm(byId("settings"), keeper);
   await settings.start();
   settings.show(byId("ask").dataset.for.split(","));
-  if (location.hash === "#plate") await view(true);
   follow(`${ofRun(id)}/events`, "run", heard, connection);
 } catch (error) {
   trouble(error);

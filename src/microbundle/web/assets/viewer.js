@@ -141,6 +141,10 @@ export class Viewer {
     this.play.setAttribute("aria-label", "Pause");
     this.began = null;
     const step = (now) => {
+      if (!this.view.clientWidth) {
+        this.stop();
+        return;
+      }
       const rate = (this.info.frames_per_s ?? UNKNOWN_RATE) * this.speed;
       this.began ??= { now, frame: this.frame };
       const next = (this.began.frame + Math.floor(((now - this.began.now) / 1000) * rate)) % this.info.frames;
@@ -176,7 +180,8 @@ export class Viewer {
     this.slider.value = t;
     this.slider.setAttribute("aria-valuetext", this.when(t));
     this.told.textContent = this.when(t);
-    if (this.width) this.frames.want(t, this.playing === null ? [] : this.following(t));
+    if (!this.width || !this.view.clientWidth) return; // Another tab is open: it is drawn when it is seen again.
+    this.frames.want(t, this.playing === null ? [] : this.following(t));
     if (this.frames.at(t)) this.paint(t);
   }
 
@@ -226,13 +231,13 @@ export class Viewer {
     this.stage.style.width = size === Math.round(room) ? "100%" : `${size}px`;
     this.stage.style.aspectRatio = `${cols} / ${rows}`;
     this.scale = size / cols; // Screen pixels for one of the movie's.
-    this.over.style.setProperty("--px", `${1 / this.scale}`);
     const wished = size * Math.min(2, devicePixelRatio || 1);
     const width = Math.min(cols, WIDTHS.find((one) => one >= wished) ?? cols);
     if (width !== this.width) {
       this.width = width;
       this.again();
     }
+    this.render();
     this.resized?.();
   }
 
