@@ -110,8 +110,14 @@ def test_plain_xarray_opens_it_with_units(saved: Path) -> None:
         assert list(data["axis"].values) == ["row", "col"]
         assert data["E"].sel(i="col", j="col", subdomain="A1").shape == (75,)
         assert json.loads(data.attrs["config"])["strain"]["tile_px"] == 20
-    with xr.open_dataset(saved / "result.nc", group="tables/summary") as summary:
-        assert "amplitude_um" in summary["metric"].values
+
+
+def test_the_file_holds_tables_that_xarray_reads_as_they_are(tissue_analysis: Analysis, saved: Path) -> None:
+    for name, table in tables(tissue_analysis).items():
+        if name in ("summary", "beats", "subdomains"):
+            with xr.open_dataset(saved / "result.nc", group=f"tables/{name}") as read:
+                found = read.to_dataframe()
+            pd.testing.assert_frame_equal(found, table, check_names=False, check_dtype=False, check_column_type=False)
 
 
 def test_tables_are_plain_csv(tissue_analysis: Analysis, saved: Path) -> None:

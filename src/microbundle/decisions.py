@@ -223,19 +223,20 @@ def write_decisions(result: Path | str, decisions: Decisions) -> Path:
 
 
 def decisions_hash(result: Path | str) -> str:
-    """Hash what a rerun would replay: the decisions beside a folder of results, and the masks that they name; the empty
-    string where there are none."""
+    """Hash what changes the numbers of a rerun: the decisions beside a folder of results, but for notes, and the masks
+    that they name; the empty string where there are none."""
     file = sidecar_of(result)
-    try:
-        raw = file.read_bytes()
-    except OSError:
+    if not file.exists():
         return ""
-    total = hashlib.sha256(raw)
     try:
-        named = read_decisions(result).masks
-    except ConfigError:
-        named = {}
-    for name, mask in sorted(named.items()):
+        decided = read_decisions(result)
+    except ConfigError as error:  # measuring again will say so
+        return hashlib.sha256(str(error).encode()).hexdigest()
+    counted = [one for one in decided.as_list() if one["kind"] != "note"]
+    if not counted:
+        return ""
+    total = hashlib.sha256(json.dumps(counted, sort_keys=True).encode())
+    for name, mask in sorted(decided.masks.items()):
         try:
             about = mask.stat()
             total.update(f"{name}\0{about.st_size}\0{about.st_mtime_ns}".encode())

@@ -52,6 +52,8 @@ SPARE = 2**20
 """Bytes that a result may take beside its arrays."""
 SCHEMA = 2
 """Version of the layout of the result file; raised when a reader of the old one would be misled."""
+IN_FILE = ("summary", "beats", "subdomains")
+"""Tables that the result file holds."""
 RC = ("row", "col")
 DRAWS = {
     "stretch": (("frame",), "stretch of frames that was pooled together"),
@@ -143,8 +145,6 @@ def save_netcdf(analysis: Analysis, file: Path, made: Mapping[str, pd.DataFrame]
 
     Raises OSError.
     """
-    import xarray as xr
-
     made = made or tables(analysis)
     data = _with_errors(_to_dataset(analysis), analysis, made["strain"])
     packed = {name: {"zlib": True, "complevel": 1} for name, v in data.variables.items()
@@ -153,15 +153,33 @@ def save_netcdf(analysis: Analysis, file: Path, made: Mapping[str, pd.DataFrame]
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(file))
     try:
         data.to_netcdf(file, engine="h5netcdf", encoding=packed)
-        for name, table in made.items():
-            if name in ("summary", "beats", "subdomains") and len(table):
-                rows = xr.Dataset.from_dataframe(table.rename_axis("entry"))
-                rows.to_netcdf(file, engine="h5netcdf", mode="a", group=f"tables/{name}")
+        _add_tables({name: made[name] for name in IN_FILE if len(made[name])}, file)
     except RuntimeError as error:  # so does HDF5 tell of a full disk
         number = re.search(r"errno = (\d+)", str(error))
         if number is None:
             raise
         raise OSError(int(number[1]), os.strerror(int(number[1])), str(file)) from None
+
+
+def _add_tables(chosen: Mapping[str, pd.DataFrame], file: Path) -> None:
+    """Add tables to a NetCDF file, each in a group with a variable for each column, as xarray would write and reads
+    them; h5py does it in a fifth of the time, for h5netcdf looks up every dimension anew for every variable."""
+    import h5py
+
+    with h5py.File(file, "a") as out:
+        for name, table in chosen.items():
+            group = out.create_group(f"tables/{name}", track_order=True)
+            entry = group.create_dataset("entry", data=np.arange(len(table)))
+            entry.make_scale("entry")
+            for column in table:
+                values = table[column].to_numpy()
+                kind = values.dtype.kind
+                written = values.astype("i1") if kind == "b" else values if kind in "fiu" else \
+                    values.astype(object).astype(h5py.string_dtype())
+                variable = group.create_dataset(str(column), data=written)
+                variable.dims[0].attach_scale(entry)
+                if kind == "b":
+                    variable.attrs["dtype"] = "bool"
 
 
 def _to_dataset(a: Analysis) -> xr.Dataset:

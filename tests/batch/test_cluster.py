@@ -200,7 +200,7 @@ def test_a_worker_that_cannot_load_microbundle_is_told(
     monkeypatch.setattr("microbundle.batch.cluster.CHECK_S", 2.0)
     monkeypatch.setattr("microbundle.batch.cluster.WITHOUT_WORKERS_S", 6.0)
     # Dask's worker falls silent, or ends, by how soon it looks at what it cannot load.
-    with pytest.raises(ClusterUnusable, match="expected an answer within 2 s|the cluster has had none"):
+    with pytest.raises(ClusterUnusable, match=r"expected an answer within 2 s|the cluster has had none"):
         run_batch(make_plan(three, config=SETTINGS), tmp_path / "out", cluster=cluster.address)
 
 
