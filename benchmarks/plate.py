@@ -169,8 +169,9 @@ def main() -> int:
         faults, wrong = reported(home / "plate", home / "whole")
         printed(("fault", "well", "must be reported", "was reported", "right"), faults)
         doses, held, told = effects(home / "plate", home / "whole")
-        printed(("metric", "dose, uM", "wells", "true ratio to control", "measured", "95 % interval", "holds it"),
-                doses)
+        header = ("metric", "dose, uM", "wells", "true ratio to control", "measured", "95 % interval",
+                  "holds the truth")
+        printed(header, doses)
         print("\n".join(told))
         print(f"{wanted.wells} movies, {wanted.workers} workers: {cpu_s / wanted.wells:.2f} CPU s and "
               f"{wall_s / wanted.wells:.2f} s wall-clock a movie, with reports, plate maps and index; load "

@@ -160,6 +160,25 @@ def test_a_missing_library_is_named_with_the_line_that_installs_it(
         read_movie(path)
 
 
+@pytest.mark.parametrize(("place", "value", "said"), [
+    ("header", 0, "expected its list of pictures; there is none"),
+    ("count", 2**30, "found one of 1073741824 entries"),
+    ("axes", 2**20, "expected pictures of at most 64 axes"),
+    ("size", 2**29, "expected pictures that cover at most"),
+])
+def test_czi_lists_that_its_library_would_follow_without_end_are_refused(
+        tmp_path: Path, place: str, value: int, said: str) -> None:
+    needs_czi()
+    file = write_czi(tmp_path / "m.czi", grey())
+    raw = bytearray(file.read_bytes())
+    listed = raw.find(b"ZISRAWDIRECTORY")
+    at = {"header": 84, "count": listed + 32, "axes": listed + 160 + 28, "size": listed + 160 + 32 + 8}[place]
+    raw[at:at + 4] = value.to_bytes(4, "little")
+    file.write_bytes(raw)
+    with pytest.raises(MovieUnreadable, match=said):
+        read_movie(file)
+
+
 @pytest.mark.skipif(sys.version_info >= (3, 12), reason="here czifile can be installed")
 def test_czi_says_that_it_needs_a_newer_python(tmp_path: Path) -> None:
     (tmp_path / "m.czi").write_bytes(b"ZISRAWFILE".ljust(600, b"\0"))

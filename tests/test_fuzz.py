@@ -21,8 +21,8 @@ import tifffile
 from microbundle.errors import MicrobundleError
 from microbundle.read import read_movie
 
-from .instrument_files import write_lif, write_micromanager, write_nd2, write_video
-from .test_formats import TIMES, grey, smooth
+from .instrument_files import write_czi, write_lif, write_micromanager, write_nd2, write_video
+from .test_formats import TIMES, grey, needs_czi, smooth
 
 BUDGET_S = float(os.environ.get("MICROBUNDLE_FUZZ_S", "30"))
 MOST_FILES = 300 if "MICROBUNDLE_FUZZ_S" not in os.environ else sys.maxsize
@@ -53,6 +53,7 @@ SEEDS: dict[str, Callable[[Path], Path]] = {
     "ImageJ TIFF": lambda d: _tiff(d / "m.tif", imagej=True, metadata={"axes": "TYX", "finterval": 0.1}),
     "Micro-Manager list": lambda d: write_micromanager(d / "Pos0", grey()[:, None], times_s=TIMES) / "metadata.txt",
     "ND2": lambda d: write_nd2(d / "m.nd2", grey()),
+    "CZI": lambda d: write_czi(d / "m.czi", grey()),
     "LIF": lambda d: write_lif(d / "m.lif", {"a": grey()}, times_s=TIMES),
     "AVI, raw": lambda d: write_video(d / "m.avi", grey("uint8"), "rawvideo"),
     "AVI, MJPEG": lambda d: write_video(d / "m.avi", smooth(8), "mjpeg", "yuvj420p"),
@@ -95,6 +96,8 @@ def test_damaged_files_give_a_movie_or_one_of_our_errors(tmp_path: Path, kind: s
                                                          capsys: pytest.CaptureFixture[str]) -> None:
     if kind in ("ND2", "LIF"):
         pytest.importorskip({"ND2": "nd2", "LIF": "liffile"}[kind])
+    if kind == "CZI":
+        needs_czi()
     file = SEEDS[kind](tmp_path)
     whole, movie = file.read_bytes(), file.parent if file.suffix == ".txt" else file
     rng = np.random.default_rng(int(os.environ.get("MICROBUNDLE_FUZZ_SEED", "0")))

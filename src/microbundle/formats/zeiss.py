@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import struct
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -30,7 +31,12 @@ MAGIC = b"ZISRAWFILE"
 DAYS = (3e4, 8e4)
 """Stamps in this range with tiny steps are days since 1899-12-30, as some versions of ZEN write them."""
 DAY_S = 86400.0
+PICTURES_AT, ATTACHMENTS_AT = 84, 104
+"""Where the header names the places of the lists of pictures and of what else is attached."""
+DIRECTORY = b"ZISRAWDIRECTORY"
 MOST_AXES = 64
+MOST_ENLARGED = 2**28
+"""Pixels that a picture of a pyramid, which stores fewer, may stand for."""
 
 
 def contents(file: Path) -> Contents:
@@ -88,23 +94,49 @@ def _inspect(file: Path) -> tuple[Any, list[Any], Contents]:
 
 
 def _check_directories(file: Path) -> None:
-    """Refuse directories with more entries than the file has room for: czifile would read them all, without end."""
+    """Refuse a file without its list of pictures, or with lists of more than it has room for: czifile would search all
+    of it, or read without end."""
     size = file.stat().st_size
     with file.open("rb") as stream:
-        for place, entry in ((84, 32), (104, 128)):
-            stream.seek(place)
-            stream.seek(min(int.from_bytes(stream.read(8), "little"), size) + 32)
-            count = int.from_bytes(stream.read(4), "little")
-            if count * entry > size:
-                raise MovieUnreadable(f"{file}: expected a list of pictures that fits into the file; found one of "
-                                      f"{count} entries. The file is damaged")
-            stream.seek(124, 1)
-            for _ in range(count if entry == 32 else 0):
-                axes = int.from_bytes(stream.read(32)[28:], "little")
-                if axes > MOST_AXES:
-                    raise MovieUnreadable(f"{file}: expected pictures of at most {MOST_AXES} axes; found {axes}. "
-                                          "The file is damaged")
-                stream.seek(20 * axes, 1)
+        if _list_of(stream, PICTURES_AT, size) != DIRECTORY:
+            raise MovieUnreadable(f"{file}: expected its list of pictures; there is none. The file is damaged, or was "
+                                  "not closed by the microscope")
+        count = _count(file, stream, 32, size)
+        for _ in range(count):
+            axes = int.from_bytes(stream.read(32)[28:], "little")
+            if axes > MOST_AXES:
+                raise MovieUnreadable(f"{file}: expected pictures of at most {MOST_AXES} axes; found {axes}. The file "
+                                      "is damaged")
+            _check_axes(file, stream.read(20 * axes))
+        _list_of(stream, ATTACHMENTS_AT, size)
+        _count(file, stream, 128, size)
+
+
+def _list_of(stream: BinaryIO, place: int, size: int) -> bytes:
+    """Go to the list of which the header names the place, behind its own header; returns what that calls itself."""
+    stream.seek(place)
+    stream.seek(min(int.from_bytes(stream.read(8), "little"), size))
+    return stream.read(32)[:16].rstrip(b"\0")
+
+
+def _count(file: Path, stream: BinaryIO, entry: int, size: int) -> int:
+    """Read how many entries, of so many bytes at least, a list says that it has."""
+    count = int.from_bytes(stream.read(128)[:4], "little")
+    if count * entry > size:
+        raise MovieUnreadable(f"{file}: expected a list of pictures that fits into the file; found one of {count} "
+                              "entries. The file is damaged")
+    return count
+
+
+def _check_axes(file: Path, axes: bytes) -> None:
+    """Refuse a picture that is said to cover far more than it stores: czifile would repeat its pixels, without end."""
+    covered = stored = 1
+    for _, _, size, _, kept in struct.iter_unpack("<4siifi", axes):
+        covered *= size
+        stored *= kept or size
+    if covered != stored and covered > MOST_ENLARGED:
+        raise MovieUnreadable(f"{file}: expected pictures that cover at most {MOST_ENLARGED} px; found one of {stored} "
+                              f"px that covers {covered}. The file is damaged, or holds no movie")
 
 
 def _described(scene: Any, count: int) -> Series:
