@@ -8,7 +8,9 @@ minutes; MICROBUNDLE_APP names one to keep instead, so that a second call is qui
 
 from __future__ import annotations
 
+import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -18,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
+from PIL import Image
 from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
 
 DOCS = Path(__file__).parent.parent / "docs" / "app"
@@ -25,8 +28,14 @@ FLAGS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-backgroun
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 WIDE, PHONE = {"width": 1180, "height": 820}, {"width": 390, "height": 780}
 MINUTES = 60_000
-SPOTS = ((0.36, 0.3), (0.62, 0.34), (0.4, 0.68), (0.6, 0.64))
-"""Where points are clicked, as shares of the picture's height and width."""
+COLOURS = 200
+"""Of a picture's palette, so that the documentation stays small."""
+SIZE = re.compile(r"(\d+) × (\d+) px")
+SPOTS = ((47, 50), (78, 54), (50, 140), (80, 134))
+"""Row and column of the points that are clicked at rest; later, where the tissue went, and a hand's miss aside."""
+MISS_PX = (0.4, -0.3, -0.5, 0.3)
+FOUND = """async ([path, points]) => (await (await fetch(path, { method: "POST", body: JSON.stringify({ points }),
+  headers: { "X-Microbundle": "1", "Content-Type": "application/json" } })).json()).points"""
 
 
 def main(wanted: list[str]) -> int:
@@ -78,6 +87,7 @@ def measured(browser: Browser, address: str, wanted: list[str]) -> str:
         page.get_by_role("button", name="Open the example plate").click()
     page.wait_for_url("**/run/*")
     go, state = page.locator("#go"), page.locator("#state")
+    expect(state).not_to_have_text("")
     expect(state).not_to_have_text("Being made", timeout=10 * MINUTES)
     if state.inner_text() != "Done":
         expect(go).to_contain_text("Start", timeout=5 * MINUTES)
@@ -109,8 +119,10 @@ def shoot(page: Page, name: str) -> None:
     height = min(int(page.evaluate("document.querySelector('footer').getBoundingClientRect().top")), 2 * size["height"])
     page.set_viewport_size({"width": size["width"], "height": max(height, 480)})
     page.wait_for_timeout(400)
-    page.screenshot(path=DOCS / f"{name}.png")
-    print(DOCS / f"{name}.png", flush=True)
+    file = DOCS / f"{name}.png"
+    with Image.open(io.BytesIO(page.screenshot())) as picture:
+        picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(file, optimize=True)
+    print(file, flush=True)
 
 
 def first_movie(page: Page, run: str, tab: str) -> Locator:
@@ -156,9 +168,9 @@ def tiles(page: Page, run: str) -> None:
     panel.get_by_label("Sub-domains along").fill("5")
     panel.get_by_label("Sub-domains along").press("Tab")
     panel.get_by_role("button", name="Sub-domains").click()
-    panel.get_by_role("button", name="right side").focus()
-    for _ in range(2):
-        page.keyboard.press("Shift+ArrowRight")
+    panel.get_by_role("button", name="left side").focus()
+    for _ in range(4):
+        page.keyboard.press("ArrowLeft")
     page.wait_for_timeout(1000)
 
 
@@ -176,12 +188,21 @@ def beats(page: Page, run: str) -> None:
 def verify(page: Page, run: str) -> None:
     panel = first_movie(page, run, "verify")
     stage = panel.locator(".stage")
+    frames = [int(one.split()[-1]) for one in panel.locator(".steps button").all_inner_texts()]
+    rows, cols = (int(one) for one in SIZE.findall(page.locator("#what").inner_text())[0])
+    still = [{"point": p, "frame": frame, "row": row, "col": col} for frame in frames
+             for p, (row, col) in enumerate(SPOTS)]
+    path = page.url.partition("#")[0].replace("/run/", "/api/runs/")
+    api = f"{path.rpartition('/')[0]}/movies/{path.rpartition('/')[2]}/clicks"
+    moved = [one["found_px"] for one in page.evaluate(FOUND, [api, still])]
     for n in range(4):
         expect(panel.locator("h2")).to_have_text(f"Frame {n + 1} of 4")
         box = stage.bounding_box()
         assert box is not None
-        for down, right in SPOTS:
-            page.mouse.click(box["x"] + right * box["width"], box["y"] + down * box["height"])
+        for p, (row, col) in enumerate(SPOTS):
+            down, right = (moved[p][n - 1][0], moved[p][n - 1][1] + MISS_PX[(n + p) % 4]) if n else (0.0, 0.0)
+            page.mouse.click(box["x"] + (col + right + 0.5) / cols * box["width"],
+                             box["y"] + (row + down + 0.5) / rows * box["height"])
             page.wait_for_timeout(100)
     panel.get_by_role("button", name="Compare with the tracks").click()
     panel.locator(".agreement tbody tr").first.wait_for()

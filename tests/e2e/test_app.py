@@ -46,7 +46,7 @@ def test_from_the_example_to_a_zip(browser: Browser, plate: Path, tmp_path: Path
         taken = zipfile.ZipFile(started.value.path())
         assert taken.testzip() is None
         kept = [name for name in taken.namelist() if name.endswith("report.html")]
-        assert len(kept) == sum(name.endswith("summary.csv") for name in taken.namelist()) >= 1
+        assert len(kept) == sum(name.endswith("result.nc") for name in taken.namelist()) >= 1
         assert b"microbundle report" in taken.read(kept[0])
         page.context.close()
     finally:

@@ -24,7 +24,7 @@ VIEWS = {
     "notes": ("/run/{run}/P1_A1.tif#notes", "#panel-notes textarea"),
     "side": ("/run/{run}/side?a=P1_A1.tif&b=P1_A2.tif", "#side .chart"), "review": ("/run/{run}/review", "#reviewer"),
 }
-DARK = ("home", "run", "masks", "notes")
+DARK = ("run", "masks", "notes")
 """Views in which every colour occurs."""
 FOCUSED = """() => { const { tagName, textContent, ariaLabel } = document.activeElement;
   return ["A", "BUTTON", "INPUT"].includes(tagName) ? textContent + (ariaLabel ?? "") : ""; }"""

@@ -359,6 +359,8 @@ def test_a_review_is_blind_and_its_verdicts_are_kept(measured: Measured) -> None
         assert client.post(f"/api/runs/{id}/review/next", json=wrong).status_code == 400
     assert client.post("/api/review/nothing", json={"accept": True}).status_code == 404
     assert client.post(f"/api/review/{judged[0]}", json={"accept": "yes"}).status_code == 400
+    for key in ("P_A1.tif", "P_B2"):  # for the other tests of this run
+        said(client.put(f"/api/runs/{id}/movies/{key}/decisions", json={"decisions": []}))
 
 
 def test_the_form_of_settings_is_that_of_the_command_line() -> None:

@@ -70,7 +70,7 @@ def _about(desk: Desk, run: str, task: Task) -> dict[str, Any]:
     home, record = desk.runs.home(run), desk.runs.get(run)
     result = result_of(home, task.key)
     listed, version = decided.read(result)
-    row = desk.views.movie(record, home, task)
+    row = desk.views.movie(record, home, task, desk.runs.progress(run))
     row["decided"] = row.pop("decisions")
     try:
         keys = [one.key for one in desk.runs.plan(run).tasks]

@@ -47,7 +47,7 @@ def _told(desk: Desk, one: Case) -> dict[str, Any]:
     home = desk.runs.home(one.run)
     task = desk.views.task(one.run, one.key)
     found = glance(result_of(home, one.key))
-    row = desk.views.movie(desk.runs.get(one.run), home, task)
+    row = desk.views.movie(desk.runs.get(one.run), home, task, desk.runs.progress(one.run))
     rows, cols = found.tissue.shape
     outer, holes = polygons(found.tissue)
     return {

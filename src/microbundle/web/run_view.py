@@ -26,6 +26,7 @@ from ..report import NAME
 from ..report.terms import Term, best_unit, pretty
 from . import decided
 from .answers import Refused, not_there
+from .progress import Progress
 from .records import Home, Record
 from .runs import Runs
 
@@ -81,7 +82,8 @@ class Views:
                 notes += [f"no pictures: {why}" for why in self.runs.progress(id).problems.values()]
             except (MicrobundleError, Refused) as error:
                 tasks, message = self._kept_tasks(home), message or str(error)
-        rows = [self.movie(record, home, task) for task in tasks]
+        progress = self.runs.progress(id)
+        rows = [self.movie(record, home, task, progress) for task in tasks]
         short = self.short(record)
         done = sum(row["state"] == "done" for row in rows)
         failed = sum(row["state"] == "failed" for row in rows)
@@ -94,7 +96,7 @@ class Views:
             "pattern": record.pattern, "figures": record.figures, "movie_files": record.movies, "excel": record.excel,
             "columns": columns,
             "notes": notes, "cancelled": record.cancelled,
-            "progress": {"stage": self.runs.progress(id).stage if record.state == "running" else "", "done": done,
+            "progress": {"stage": progress.stage if record.state == "running" else "", "done": done,
                          "failed": failed, "total": len(rows) or short["movies"],
                          "share": round(share, 4), "seconds_left": short["seconds_left"]},
             "metrics": [{"column": term.column, "label": term.name, "unit": term.unit, "tip": term.tip}
@@ -102,12 +104,11 @@ class Views:
             "movies": rows,
         }
 
-    def movie(self, record: Record, home: Home, task: Task) -> dict[str, Any]:
+    def movie(self, record: Record, home: Home, task: Task, progress: Progress) -> dict[str, Any]:
         """One movie of a run: its state, numbers and decisions."""
         result = home.out / RESULTS / task.key
         status: Status | None = self._file(home.out / STATUS / f"{task.key}.json",
                                            lambda: read_status(home.out, task))
-        progress = self.runs.progress(record.id)
         doing = progress.movies.get(task.movie) if record.state == "running" else None
         numbers: Numbers | None = self._file(result / TABLE, lambda: _numbers(result / TABLE))
         listed, version = self._file(sidecar_of(result), lambda: _decisions(result)) or ([], decided.NONE)

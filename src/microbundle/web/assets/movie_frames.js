@@ -6,7 +6,7 @@ import { make } from "./shared.js";
 import { Viewer } from "./viewer.js";
 import { button } from "./page.js";
 
-const SOURCES = { file: "from the file", user: "given by you", unknown: "not known" };
+const SOURCES = { file: "from the file", user: "given", unknown: "not known" };
 
 export async function startFrames(panel, movie) {
   const left = make("div"),

@@ -77,11 +77,7 @@ function show(reviewer, base, movie, data, n, of) {
     ["Reject", false, "R"],
     ["Not sure", null, "U"],
   ].map(([text, accept, key]) => {
-    const pressed = make(
-      "button",
-      { type: "button", class: accept ? "main" : null, "aria-keyshortcuts": key },
-      `${text} (${key})`,
-    );
+    const pressed = make("button", { type: "button", "aria-keyshortcuts": key }, `${text} (${key})`);
     pressed.addEventListener("click", () => does(pressed, send(accept)));
     return [key, pressed];
   });
@@ -140,6 +136,9 @@ function show(reviewer, base, movie, data, n, of) {
         make("dd", {}, `${withError(one.value, one.se)} ${one.unit ?? ""}`),
       ]),
     ),
+  );
+  left.append(
+    make("h2", {}, "Are these numbers to be trusted?"),
     make("div", { class: "field" }, make("label", { for: "why" }, "Why (may be left empty)"), why),
     make("p", { class: "choices" }, ...buttons.map(([, one]) => one)),
   );
@@ -148,7 +147,7 @@ function show(reviewer, base, movie, data, n, of) {
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|TEXTAREA|SELECT)$/.test(event.target.tagName)) return;
   const pressed = judging?.[event.key.toUpperCase()];
-  if (pressed && !pressed.disabled) pressed.click();
+  pressed?.click();
 });
 
 get(ofRun(run))

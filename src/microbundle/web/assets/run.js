@@ -164,6 +164,26 @@ function question(key, label, unit) {
 
 // --- movies --------------------------------------------------------------------------------------------------------
 
+const told = (movie, name) => movie.columns?.[name] ?? "";
+
+// Columns of the plan that tell movies apart; the others are told once.
+function varying() {
+  const [first] = movies.values();
+  return (run.columns ?? []).filter(
+    (name) => movies.size === 1 || all().some((movie) => told(movie, name) !== told(first, name)),
+  );
+}
+
+function caption() {
+  const [first] = movies.values(),
+    shown = varying(),
+    same = (run.columns ?? []).filter((name) => !shown.includes(name) && told(first, name) !== "");
+  const words = same.length
+    ? ` The same for all: ${same.map((name) => `${name} ${told(first, name)}`).join(", ")}.`
+    : "";
+  return `Press a column’s name to sort by it.${words}`;
+}
+
 function columns() {
   const metrics = run.metrics ?? [];
   return [
@@ -175,10 +195,10 @@ function columns() {
       cell: (movie) => make("a", { href: pageOf(id, movie.key) }, movie.movie),
     },
     { id: "pick", label: "Chosen to compare", look: "pick", cell: pick },
-    ...(run.columns ?? []).map((name) => ({
+    ...varying().map((name) => ({
       id: `column ${name}`,
       label: name,
-      words: true,
+      look: "label",
       value: (movie) => movie.columns?.[name] ?? null,
     })),
     { id: "state", label: "State", words: true, value: (movie) => movie.verdict || movie.state, cell: state },
@@ -223,12 +243,12 @@ function state(movie) {
 function showTable() {
   table ??= new Table(byId("table"), {
     label: "Table of movies",
-    caption: "Press a column’s name to sort by it.",
     key: (movie) => movie.key,
     columns: columns(),
     first: "movie",
   });
   table.setColumns(columns());
+  table.caption.textContent = caption();
   table.show(all());
 }
 
@@ -255,7 +275,34 @@ function view(plate) {
   return run ? showPlate() : null;
 }
 
-// --- files ---------------------------------------------------------------------------------------------------------
+// --- files --------------------------------------------------------------------------------------------------------
+
+const fileLine = (file) =>
+  make(
+    "li",
+    {},
+    make("a", { href: fileOf(id, file.path), download: true }, file.path),
+    " ",
+    make("span", { class: "note" }, [file.what, bytes(file.bytes)].filter(Boolean).join(" · ")),
+  );
+
+// Files of a folder, closed at first; its pictures are seen at once.
+function fileFolder(name, files) {
+  const pictures = files.filter((file) => file.path.endsWith(".png"));
+  return make(
+    "details",
+    {},
+    make("summary", {}, name, make("span", { class: "note" }, counted(files.length, "file"))),
+    make(
+      "div",
+      { class: "pictures" },
+      ...pictures.map((file) =>
+        make("img", { src: `${fileOf(id, file.path)}?inline=1`, alt: file.path, loading: "lazy" }),
+      ),
+    ),
+    make("ul", { class: "files" }, ...files.map(fileLine)),
+  );
+}
 
 async function showFiles() {
   const of = `${run.state} ${run.ended} ${count((movie) => movie.state === "done")}`;
@@ -263,19 +310,14 @@ async function showFiles() {
   if (of === filesOf || !settled || run.state === "draft") return;
   filesOf = of;
   const { files } = await get(`${ofRun(id)}/outputs`);
+  const folders = [...new Set(files.map((file) => file.path.split("/").slice(0, -1)[0]).filter(Boolean))];
   byId("files-section").hidden = !files.length;
   byId("files").replaceChildren(
-    make(
-      "ul",
-      { class: "files" },
-      ...files.map((file) =>
-        make(
-          "li",
-          {},
-          make("a", { href: fileOf(id, file.path), download: true }, file.path),
-          " ",
-          make("span", { class: "note" }, [file.what, bytes(file.bytes)].filter(Boolean).join(" · ")),
-        ),
+    make("ul", { class: "files" }, ...files.filter((file) => !file.path.includes("/")).map(fileLine)),
+    ...folders.map((name) =>
+      fileFolder(
+        (name[0].toUpperCase() + name.slice(1)).replaceAll("_", " "),
+        files.filter((file) => file.path.startsWith(`${name}/`)),
       ),
     ),
   );

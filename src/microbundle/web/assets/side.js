@@ -106,7 +106,7 @@ function show(body, parts, step, metrics) {
       }),
     ];
   });
-  const traces = make("div");
+  const traces = make("div", { class: "traces" });
   body.replaceChildren(
     make("div", { class: "beside even" }, ...columns.map(([box]) => box)),
     traces,

@@ -7,7 +7,7 @@ const names = new Intl.Collator(undefined, { numeric: true, sensitivity: "base" 
 
 export class Table {
   // A column is {id, label, unit, tip, value(row), cell(row), words}; `value` sorts, `cell` gives what stands there.
-  constructor(host, { label, caption, key, columns, first }) {
+  constructor(host, { label, key, columns, first }) {
     Object.assign(this, {
       key,
       columns,
@@ -16,6 +16,7 @@ export class Table {
       all: [],
       most: MOST,
     });
+    this.caption = make("caption");
     this.rows = new Map();
     this.head = make("tr");
     this.body = make("tbody");
@@ -28,7 +29,7 @@ export class Table {
       make(
         "div",
         { class: "scroll all", role: "region", "aria-label": label, tabindex: "0" },
-        make("table", {}, make("caption", {}, caption), make("thead", {}, this.head), this.body),
+        make("table", {}, this.caption, make("thead", {}, this.head), this.body),
       ),
       this.more,
     );
@@ -43,7 +44,7 @@ export class Table {
     this.rows.clear();
     this.head.replaceChildren(
       ...columns.map((column) => {
-        const head = make("th", { scope: "col", class: column.words ? "words" : null });
+        const head = make("th", { scope: "col", class: column.words ? "words" : (column.look ?? null) });
         if (column.value) {
           const pressed = make(
             "button",
