@@ -261,3 +261,13 @@ def test_a_movie_with_decisions_is_measured_again_in_a_batch(tissue_array: Image
     assert (first.unchanged, again.unchanged) == (0, 1)
     assert [status.beats for status in again.statuses.values()] == [2, 3]
     assert run_batch(plan, tmp_path / "out", workers=1).unchanged == 2
+
+
+def test_a_note_measures_nothing_again(tmp_path: Path) -> None:
+    decide(tmp_path / "r", note="cloudy")
+    assert decisions_hash(tmp_path / "r") == ""
+    decide(tmp_path / "r", accept=True)
+    before = decisions_hash(tmp_path / "r")
+    assert before
+    decide(tmp_path / "r", note="still cloudy")
+    assert decisions_hash(tmp_path / "r") == before

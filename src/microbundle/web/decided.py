@@ -5,6 +5,8 @@ The file, and what it means, are those of `microbundle.decisions`; the command l
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,7 +18,7 @@ import numpy as np
 from ..config import Config
 from ..data import Bools, Movie
 from ..decide import keep_mask
-from ..decisions import Decisions, decisions_hash, read_decisions, sidecar_of, write_decisions
+from ..decisions import Decisions, read_decisions, sidecar_of, write_decisions
 from ..errors import MaskUnusable
 from ..mask_files import read_mask
 from .answers import Refused
@@ -30,7 +32,8 @@ _writing = Lock()
 
 def read(result: Path) -> tuple[Listed, str]:
     """Read the decisions on a result, and what tells this list from another. Raises ConfigError."""
-    return read_decisions(result).as_list(), decisions_hash(result) or NONE
+    listed = read_decisions(result).as_list()
+    return listed, hashlib.sha256(json.dumps(listed, sort_keys=True).encode()).hexdigest() if listed else NONE
 
 
 def write(result: Path, listed: Any, masks: Mapping[str, Bools], version: str | None) -> tuple[Listed, str]:

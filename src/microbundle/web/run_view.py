@@ -19,12 +19,11 @@ from ..batch.collect import KEY_METRICS, UNITS, read_summary
 from ..batch.plan import Task
 from ..batch.state import RESULTS, STATUS, TABLE, Status, read_status
 from ..config import Config
-from ..decisions import sidecar_of
+from ..decisions import decisions_hash, read_decisions, sidecar_of
 from ..errors import ConfigError, MicrobundleError
 from ..lookup import entries
 from ..report import NAME
 from ..report.terms import Term, best_unit, pretty
-from . import decided
 from .answers import Refused, not_there
 from .progress import Progress
 from .records import Home, Record
@@ -111,12 +110,11 @@ class Views:
                                            lambda: read_status(home.out, task))
         doing = progress.movies.get(task.movie) if record.state == "running" else None
         numbers: Numbers | None = self._file(result / TABLE, lambda: _numbers(result / TABLE))
-        listed, version = self._file(sidecar_of(result), lambda: _decisions(result)) or ([], decided.NONE)
+        listed, replayed = self._file(sidecar_of(result), lambda: _decisions(result)) or ([], "")
         state, stale = "todo", False
         if status is not None and status.movie == task.movie:
             state = status.state
-            stale = bool(task.settings) and (status.settings != task.settings
-                                             or (status.decisions or decided.NONE) != version)
+            stale = bool(task.settings) and (status.settings != task.settings or status.decisions != replayed)
         out = {
             "key": task.key, "movie": task.movie, "columns": dict(task.columns), "state": state, "stale": stale,
             "stage": "", "share": 1.0 if state in ("done", "failed") else 0.0,
@@ -212,7 +210,8 @@ def _numbers(table: Path) -> Numbers:
 
 
 def _decisions(result: Path) -> tuple[list[dict[str, Any]], str]:
+    """The decisions on a result, and the hash by which a run knows whether it has replayed them."""
     try:
-        return decided.read(result)
+        return read_decisions(result).as_list(), decisions_hash(result)
     except ConfigError:
-        return [], decided.NONE
+        return [], decisions_hash(result)
