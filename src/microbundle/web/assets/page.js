@@ -78,6 +78,9 @@ export function button(text, action, attributes = {}) {
   return made;
 }
 
+export const MEANING =
+  "Means over whole beats, ± the standard error of the measurement. How much beats vary is in the report.";
+
 // A text with `code` in it, as the settings' texts have.
 export const worded = (text) => (text ?? "").split("`").map((part, i) => (i % 2 ? make("code", {}, part) : part));
 

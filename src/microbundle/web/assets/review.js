@@ -5,7 +5,7 @@ import { ringPath } from "./outline.js";
 import { rings } from "./masks.js";
 import { Chart, State, byId, draw, make, nearest, withError } from "./shared.js";
 import { Viewer } from "./viewer.js";
-import { does, drafts, say, trouble } from "./page.js";
+import { MEANING, does, drafts, say, trouble } from "./page.js";
 
 const { run } = byId("main").dataset,
   host = byId("review");
@@ -137,6 +137,7 @@ function show(reviewer, base, movie, data, n, of) {
       ]),
     ),
   );
+  right.append(make("p", { class: "note" }, MEANING));
   left.append(
     make("h2", {}, "Are these numbers to be trusted?"),
     make("div", { class: "field" }, make("label", { for: "why" }, "Why (may be left empty)"), why),

@@ -5,7 +5,20 @@ import { Plates } from "./plate.js";
 import { Keeper, SettingsForm, toSetting } from "./settings.js";
 import { Table } from "./table.js";
 import { byId, make, withError } from "./shared.js";
-import { badge, bytes, connection, counted, does, duration, madeBadge, moment, onClick, say, trouble } from "./page.js";
+import {
+  MEANING,
+  badge,
+  bytes,
+  connection,
+  counted,
+  does,
+  duration,
+  madeBadge,
+  moment,
+  onClick,
+  say,
+  trouble,
+} from "./page.js";
 
 const id = byId("main").dataset.run;
 const picked = new Set(),
@@ -181,7 +194,7 @@ function caption() {
   const words = same.length
     ? ` The same for all: ${same.map((name) => `${name} ${told(first, name)}`).join(", ")}.`
     : "";
-  return `Press a column’s name to sort by it.${words}`;
+  return `Press a column’s name to sort by it. ${(run.metrics ?? []).length ? MEANING : ""}${words}`;
 }
 
 function columns() {

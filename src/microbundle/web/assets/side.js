@@ -3,7 +3,7 @@
 import { get, ofMovie, ofRun, pageOf } from "./api.js";
 import { Chart, State, byId, make, nearest, withError, written } from "./shared.js";
 import { Viewer } from "./viewer.js";
-import { trouble } from "./page.js";
+import { MEANING, trouble } from "./page.js";
 
 const { run, a, b } = byId("main").dataset,
   host = byId("side");
@@ -202,7 +202,7 @@ function numbers(parts, metrics) {
     make(
       "table",
       {},
-      make("caption", {}, "Means over whole beats, ± standard error"),
+      make("caption", {}, MEANING),
       make(
         "thead",
         {},
