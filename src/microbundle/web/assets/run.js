@@ -187,14 +187,14 @@ function varying() {
   );
 }
 
-function caption() {
+function remark() {
   const [first] = movies.values(),
     shown = varying(),
     same = (run.columns ?? []).filter((name) => !shown.includes(name) && told(first, name) !== "");
   const words = same.length
     ? ` The same for all: ${same.map((name) => `${name} ${told(first, name)}`).join(", ")}.`
     : "";
-  return `Press a column’s name to sort by it. ${(run.metrics ?? []).length ? MEANING : ""}${words}`;
+  return `${(run.metrics ?? []).length ? MEANING : ""}${words}`;
 }
 
 function columns() {
@@ -261,7 +261,7 @@ function showTable() {
     first: "movie",
   });
   table.setColumns(columns());
-  table.caption.textContent = caption();
+  table.note.textContent = remark();
   table.show(all());
 }
 

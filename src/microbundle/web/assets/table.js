@@ -16,7 +16,7 @@ export class Table {
       all: [],
       most: MOST,
     });
-    this.caption = make("caption");
+    this.note = make("p", { class: "note" });
     this.rows = new Map();
     this.head = make("tr");
     this.body = make("tbody");
@@ -29,9 +29,16 @@ export class Table {
       make(
         "div",
         { class: "scroll all", role: "region", "aria-label": label, tabindex: "0" },
-        make("table", {}, this.caption, make("thead", {}, this.head), this.body),
+        make(
+          "table",
+          {},
+          make("caption", {}, "Press a column’s name to sort by it."),
+          make("thead", {}, this.head),
+          this.body,
+        ),
       ),
       this.more,
+      this.note,
     );
     this.setColumns(columns);
   }
