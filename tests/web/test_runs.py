@@ -239,12 +239,16 @@ def test_runs_wait_for_their_turn_can_leave_the_queue_and_stop(open_app: Opened,
 
 
 def test_a_run_outlives_its_server_and_goes_on_after_it_was_killed(serve: Serve, slow: Path, tmp_path: Path) -> None:
+    for i in range(2, 6):
+        shutil.copy(slow / "M0.tif", slow / f"M{i}.tif")
     server = serve(slow, tmp_path / "ws")
     client, record = server.client, tmp_path / "ws" / "runs"
     id, waiting = run_of(client, "slow"), run_of(client, "slow/M1.tif")
     said(client.post(f"/api/runs/{id}/start", json={}))
     said(client.post(f"/api/runs/{waiting}/start", json={}))
     until(lambda: said(client.get(f"/api/runs/{id}"))["progress"]["done"] >= 1)
+    pid = json.loads((record / f"{id}.json").read_text())["pid"]
+    os.killpg(pid, signal.SIGSTOP)  # so that it is not done before the next server looks
     server.stop(signal.SIGKILL)
 
     again = serve(slow, tmp_path / "ws")
@@ -254,15 +258,18 @@ def test_a_run_outlives_its_server_and_goes_on_after_it_was_killed(serve: Serve,
     assert states == {id: "running", waiting: "queued"}
     said(client.post(f"/api/runs/{waiting}/cancel", json={}))
 
-    os.kill(json.loads((record / f"{id}.json").read_text())["pid"], signal.SIGKILL)
+    os.killpg(pid, signal.SIGKILL)
     view = ended(client, id)
     assert (view["state"], "Continue goes on from there" in view["message"]) == ("stopped", True)
-    assert view["progress"]["done"] == 1
+    before = view["progress"]["done"]
+    assert 1 <= before < 6
     said(client.post(f"/api/runs/{id}/start", json={}))
     view = ended(client, id)
-    assert (view["state"], view["progress"]["done"]) == ("done", 2)
+    assert (view["state"], view["progress"]["done"]) == ("done", 6)
     events = (record / f"{id}.events.jsonl").read_text().splitlines()
-    assert [json.loads(line)["unchanged"] for line in events if '"planned"' in line] == [0, 1]
+    first, second = (json.loads(line)["unchanged"] for line in events if '"planned"' in line)
+    assert first == 0
+    assert before <= second < 6  # a movie may be done whose event was not written any more
     assert again.stop() == 0
 
 
