@@ -34,6 +34,14 @@ SIZE = re.compile(r"(\d+) × (\d+) px")
 SPOTS = ((47, 50), (78, 54), (50, 140), (80, 134))
 """Row and column of the points that are clicked at rest; later, where the tissue went, and a hand's miss aside."""
 MISS_PX = (0.4, -0.3, -0.5, 0.3)
+SHORT = """async () => {
+  const { workspace } = await (await fetch("/api/app")).json();
+  for (const id of ["what", "command"]) {
+    const told = document.getElementById(id);
+    if (told) told.textContent = told.textContent.replaceAll(workspace, "~/microbundle_app");
+  }
+}"""
+"""Names the workspace as where people have it, not where this one is."""
 FOUND = """async ([path, points]) => (await (await fetch(path, { method: "POST", body: JSON.stringify({ points }),
   headers: { "X-Microbundle": "1", "Content-Type": "application/json" } })).json()).points"""
 
@@ -116,6 +124,7 @@ def shoot(page: Page, name: str) -> None:
     size = page.viewport_size
     assert size is not None
     page.evaluate("scrollTo(0, 0)")
+    page.evaluate(SHORT)
     height = min(int(page.evaluate("document.querySelector('footer').getBoundingClientRect().top")), 2 * size["height"])
     page.set_viewport_size({"width": size["width"], "height": max(height, 480)})
     page.wait_for_timeout(400)
