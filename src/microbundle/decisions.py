@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -178,8 +179,7 @@ class Decisions(Params):
 
 def sidecar_of(result: Path | str) -> Path:
     """Name the file of decisions that belongs to a folder of results."""
-    folder = Path(result).expanduser().resolve()
-    return folder.with_name(folder.name + SUFFIX)
+    return Path(os.path.abspath(Path(result).expanduser()) + SUFFIX)
 
 
 def read_decisions(result: Path | str) -> Decisions:
