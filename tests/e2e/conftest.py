@@ -108,7 +108,7 @@ def visit(browser: Browser, app: App) -> Iterator[Callable[..., Page]]:
     def open_page(path: str = "/", **options: Any) -> Page:
         context = browser.new_context(**({"viewport": {"width": 1280, "height": 900}} | options))
         page = context.new_page()
-        page.set_default_timeout(20000)
+        page.set_default_timeout(90_000)
         page.heard = []  # type: ignore[attr-defined]
         page.on("console", lambda message: page.heard.append(message.text))  # type: ignore[attr-defined]
         page.on("pageerror", lambda error: page.heard.append(str(error)))  # type: ignore[attr-defined]

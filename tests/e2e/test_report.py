@@ -35,7 +35,7 @@ def open_page(browser: Browser, file: Path, **options: Any) -> Page:
     """Open a file with the network off; everything on the console is kept in `page.heard`."""
     context = browser.new_context(offline=True, viewport={"width": 1280, "height": 900}, **options)
     page = context.new_page()
-    page.set_default_timeout(5000)
+    page.set_default_timeout(90_000)
     page.heard = []  # type: ignore[attr-defined]
     page.on("console", lambda message: page.heard.append(message.text))  # type: ignore[attr-defined]
     page.on("pageerror", lambda error: page.heard.append(str(error)))  # type: ignore[attr-defined]
