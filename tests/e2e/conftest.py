@@ -33,6 +33,7 @@ FRAMES = 50
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    sync_api.expect.set_options(timeout=60_000)  # machines that test may be slow
     found = next(filter(None, map(shutil.which, PROGRAMS)), None)
     with sync_api.sync_playwright() as playwright:
         try:
