@@ -70,6 +70,20 @@ def tissue_array() -> Image:
     return frames
 
 
+def write_frames(frames: Image, folder: Path) -> Path:
+    """Write a movie as a new folder of single frames, 0.tif, 1.tif, ..."""
+    folder.mkdir()
+    for t, frame in enumerate(frames):
+        tifffile.imwrite(folder / f"{t}.tif", frame)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def small(tissue_array: Image) -> Image:
+    """One beat and a half of the small tissue, of which a result takes little time."""
+    return tissue_array[:40, 20:108]
+
+
 def contraction() -> NDArray[np.float64]:
     """How far the small tissue is contracted in each frame (T,), 0 to 1."""
     since = (np.arange(FRAMES) - 4) % PERIOD_FRAMES

@@ -79,6 +79,19 @@ def check_free(folder: Path | str, kind: str, overwrite: bool = False) -> Path:
     return folder
 
 
+def remove_whole(folder: Path, kind: str) -> bool:
+    """Remove a folder of this kind that microbundle wrote; one that holds anything else stays, and False is returned.
+
+    Raises OSError.
+    """
+    try:
+        check_free(folder, kind, overwrite=True)
+    except OutputError:
+        return False
+    shutil.rmtree(folder)
+    return True
+
+
 def write_file(file: Path, content: str, *, mark: str, overwrite: bool = False) -> Path:
     """Write a file whole or not at all, and list it where it comes into a folder that we wrote; returns its full path.
 

@@ -10,13 +10,9 @@ import pytest
 import tifffile
 from numpy.typing import NDArray
 
+from ..conftest import write_frames
+
 Image = NDArray[Any]
-
-
-@pytest.fixture(scope="module")
-def small(tissue_array: Image) -> Image:
-    """One beat and a half of the small tissue, of which a result takes little time."""
-    return tissue_array[:40, 20:108]
 
 
 @pytest.fixture(scope="module")
@@ -25,10 +21,7 @@ def plate(small: Image, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("batch") / "plate1"
     folder.mkdir()
     tifffile.imwrite(folder / "A1.tif", small)
-    frames = folder / "A2"
-    frames.mkdir()
-    for t, frame in enumerate(small):
-        tifffile.imwrite(frames / f"{t}.tif", frame)
+    write_frames(small, folder / "A2")
     (folder / "B1.tif").touch()
     masked = folder / "B2"
     (masked / "movie").mkdir(parents=True)

@@ -35,3 +35,17 @@ def test_a_run_of_movies_is_compared(tissue_array: NDArray[Any], tmp_path: Path)
     assert table.loc[("amplitude_um", "control"), "n_wells"] == 2
     assert found.tables["left_out"]["movie_or_well"].tolist() == ["m4.tif"]
     assert "amplitude_um" in microbundle.compare(outcome.out).run.metrics
+    written = outcome.out / "comparison"
+    assert written in outcome.files
+    kept = (written / "comparison.csv").read_bytes()
+    (written / "mine.txt").write_text("of the user")
+
+    (tmp_path / "plate.csv").write_text("\n".join(",".join(line.split(",")[::2]) for line in lines))  # no groups
+    plan = make_plan(tmp_path / "plate.csv", config=Config(method="fast", fps=30, um_per_px=4), report=False)
+    again = run_batch(plan, outcome.out, workers=1)
+    assert again.unchanged == 5
+    assert (written / "comparison.csv").read_bytes() == kept
+    assert any("is of an earlier run" in note for note in again.notes)
+    (written / "mine.txt").unlink()
+    assert not any("comparison" in note for note in run_batch(plan, outcome.out, workers=1).notes)
+    assert not written.exists()

@@ -25,6 +25,8 @@ from starlette.testclient import TestClient
 from microbundle.web.app import make_app
 from microbundle.web.desk import Desk
 
+from ..conftest import write_frames
+
 Image = NDArray[Any]
 TOKEN, PORT = "t" * 43, 8765
 ORIGIN = f"http://127.0.0.1:{PORT}"
@@ -46,21 +48,12 @@ def one_processor() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def small(tissue_array: Image) -> Image:
-    """One beat and a half of the small tissue, of which a result takes little time."""
-    return tissue_array[:40, 20:108]
-
-
-@pytest.fixture(scope="session")
 def movies(small: Image, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two movies, one as a file and one as a folder of frames, and one that is damaged."""
     folder = tmp_path_factory.mktemp("app") / "plate1"
     folder.mkdir()
     tifffile.imwrite(folder / "P_A1.tif", small)
-    frames = folder / "P_B2"
-    frames.mkdir()
-    for t, frame in enumerate(small):
-        tifffile.imwrite(frames / f"{t}.tif", frame)
+    write_frames(small, folder / "P_B2")
     (folder / "P_B3.tif").write_bytes(b"II*\0 no movie")
     return folder
 

@@ -351,3 +351,70 @@ def test_the_example_is_rendered_once_and_opens(open_app: Opened, movies: Path) 
     assert until(lambda: said(client.get(f"/api/runs/{id}"))["missing"]) == {"fps": 0, "um_per_px": 0}
     said(client.patch(f"/api/runs/{id}", json={"figures": True, "movies": True, "excel": True}))
     assert said(client.get(f"/api/runs/{id}"))["command"].endswith(" --figures --movies --excel")
+
+
+# --- runs that a terminal began -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def written(measured: Measured, movies: Path, tmp_path: Path) -> Path:
+    """A folder with the movies, and beside them what microbundle batch wrote of them in a terminal."""
+    client, id = measured
+    home = tmp_path / "lab"
+    shutil.copytree(movies, home / "plate1")  # keeps the times, by which a run knows its movies
+    (home / "settings.toml").write_text(toml(client.desk.runs.get(id).settings))  # type: ignore[attr-defined]
+    shutil.copytree(client.desk.workspace / "runs" / id, home / "results")  # type: ignore[attr-defined]
+    subprocess.run([sys.executable, "-m", "microbundle", "batch", home / "plate1", "--config", home / "settings.toml",
+                    "--pattern", "{plate}_{well}", "--out", home / "results", "--quiet"], check=False)
+    return home
+
+
+def test_a_run_of_the_terminal_opens_is_judged_and_goes_on(open_app: Opened, written: Path) -> None:
+    client = open_app(written)
+    assert {one["name"]: one["kind"] for one in said(client.get("/api/browse?at=lab"))["entries"]} == {
+        "plate1": "folder", "results": "batch"}
+    id = said(client.post("/api/open", json={"at": "lab/results"}))["run"]
+    assert said(client.post("/api/open", json={"at": "lab/results"}))["run"] == id
+    view = said(client.get(f"/api/runs/{id}"))
+    assert (view["state"], view["settings"]["fps"], view["pattern"]) == ("done", 30, "{plate}_{well}")
+    assert [(one["movie"], one["state"], one["stale"]) for one in view["movies"]] == [
+        ("P_A1.tif", "done", False), ("P_B2", "done", False), ("P_B3.tif", "failed", False)]
+    assert said(client.get(f"/api/runs/{id}/movies/P_A1.tif/traces"))
+    judged = [{"kind": "verdict", "accept": False}]
+    said(client.put(f"/api/runs/{id}/movies/P_B2/decisions", json={"decisions": judged}))
+    assert (written / "results/results/P_B2.decisions.json").is_file()
+    before = (written / "results/results/P_A1.tif/summary.csv").stat()
+    said(client.post(f"/api/runs/{id}/start", json={}))
+    assert ended(client, id)["state"] == "done"
+    rows = {one["movie"]: one for one in said(client.get(f"/api/runs/{id}"))["movies"]}
+    assert (rows["P_B2"]["verdict"], rows["P_B2"]["stale"]) == ("fail", False)
+    assert (written / "results/results/P_A1.tif/summary.csv").stat().st_mtime_ns == before.st_mtime_ns
+    said(client.delete(f"/api/runs/{id}"))
+    assert (written / "results/movies.csv").is_file()
+    assert said(client.get("/api/runs"))["runs"] == []
+
+
+def test_a_run_whose_movies_are_elsewhere_is_still_looked_at(open_app: Opened, written: Path) -> None:
+    client = open_app(written / "results")
+    id = said(client.post("/api/open", json={"at": "results"}))["run"]
+    view = said(client.get(f"/api/runs/{id}"))
+    assert [one["state"] for one in view["movies"]] == ["done", "done", "failed"]
+    assert "leads out of the folders" in view["message"]
+    assert said(client.get(f"/api/runs/{id}/movies/P_A1.tif/traces"))
+    assert client.get(f"/api/runs/{id}/movies/P_A1.tif/frame?t=0").status_code == 403
+    assert client.post(f"/api/runs/{id}/start", json={}).status_code == 403
+
+
+def test_folders_that_are_no_such_run_are_refused(open_app: Opened, written: Path, tmp_path: Path) -> None:
+    client = open_app(written)
+    answer = client.post("/api/open", json={"at": "lab/results/results/P_B2"})
+    assert (answer.status_code, "result of one movie" in answer.text) == (400, True)
+    (tmp_path / "secret").mkdir()
+    link = written / "results" / "results" / "linked"
+    link.symlink_to(tmp_path / "secret")
+    assert client.post("/api/open", json={"at": "lab/results"}).status_code == 403
+    link.unlink()
+    for damage in ("", "[]", '{"source": "x", "settings": {"nothing": 1}}'):
+        (written / "results" / "run.json").write_text(damage)
+        answer = client.post("/api/open", json={"at": "lab/results"})
+        assert (answer.status_code, answer.json()["error"]["kind"]) == (422, "ResultUnreadable")

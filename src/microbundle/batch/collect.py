@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from ..errors import ConfigError, ResultUnreadable
+from ..folder import remove_whole
 from ..plate_maps import write_maps
 from ..plate_workbook import TIDY, write_plate_workbook
 from ..plates import Plate, State, WellMovie, plates_of
@@ -116,8 +117,7 @@ def write_tables(out: Path, plan: Plan, statuses: Mapping[str, Status], files: l
     made_of = hashlib.sha256(b"".join((out / name).read_bytes() for name in (PLATE, MOVIES)))
     made_of.update(f"{plan.version} {extras.wells}".encode())
     changed |= _text(out / MADE_OF) != made_of.hexdigest()
-    if comparable(plan.columns) and means:
-        _comparison(out, files, notes, changed=changed)
+    _comparison(out, files, notes, wanted=comparable(plan.columns) and bool(means), changed=changed)
     if plan.report and means:
         _index(out, plan, statuses, plates, metrics, files, changed=changed)
     if changed:
@@ -176,7 +176,7 @@ def _plates(plan: Plan, statuses: Mapping[str, Status], readings: Mapping[str, M
                                 f"{RESULTS}/{task.key}/{NAME}" if done and plan.report else ""))
     plates, left_out = plates_of(movies, extras.wells)
     if left_out:
-        notes.append(f"{left_out} movies are on no plate map: they name no well such as A1")
+        notes.append(f"movies on no plate map, for they name no well such as A1: {left_out}")
     return plates
 
 
@@ -225,15 +225,20 @@ def _index(out: Path, plan: Plan, statuses: Mapping[str, Status], plates: Sequen
     files.append(page)
 
 
-def _comparison(out: Path, files: list[Path], notes: list[str], *, changed: bool) -> None:
-    """Compare groups, pairs and doses, where the comparison would be another than the one that is there."""
-    from ..statistics.write import write_into
+def _comparison(out: Path, files: list[Path], notes: list[str], *, wanted: bool, changed: bool) -> None:
+    """Compare groups, pairs and doses, where the comparison would be another than the one that is there; an older one
+    goes where nothing can be compared any more."""
+    from ..statistics.write import KIND, write_into
 
-    folder = out / COMPARISON
-    if changed or not folder.exists():
+    folder, told = out / COMPARISON, ""
+    if wanted and (changed or not folder.exists()):
         try:
             write_into(out, folder, figures=True)
         except ConfigError as why:
-            notes.append(f"no comparison: {why}")
-            return
-    files.append(folder)
+            wanted, told = False, str(why)
+    if wanted:
+        files.append(folder)
+    elif folder.exists() and not remove_whole(folder, KIND):
+        told = f"{told or 'the run has nothing to compare'}. The folder {COMPARISON} is of an earlier run"
+    if told:
+        notes.append(f"no comparison: {told}")

@@ -57,6 +57,9 @@ class Plan:
     movies: bool = False
     """Draw figures of each result, and movies, with limits shared over all of them."""
     notes: tuple[str, ...] = ()
+    pattern: str | None = None
+    config: Config = field(default_factory=Config)
+    """What all movies have in common of their settings."""
     version: str = field(default_factory=lambda: version("microbundle"))
 
 
@@ -94,7 +97,8 @@ def make_plan(source: Path | str, *, config: Config | None = None, pattern: str 
             own = Config.from_dict(merge(config.model_dump(exclude_unset=True), given), source=str(source))
             known[repr(given)] = own, _settings_hash(own, report)
         tasks.append(Task(movie, path, key, columns, *known[repr(given)]))
-    return Plan(source, tuple(tasks), tuple(ordered(set(names), names)), report, figures, movies, notes)
+    return Plan(source, tuple(tasks), tuple(ordered(set(names), names)), report, figures, movies, notes,
+                pattern, config)
 
 
 def fingerprint(path: Path) -> str:

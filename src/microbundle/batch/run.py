@@ -23,6 +23,7 @@ from .limits import read_limits, shared_limits
 from .local import Processes
 from .pictures import LimitsJob, picture_jobs
 from .plan import Plan, Task, fingerprint
+from .recipe import write_recipe
 from .state import RESULTS, Status, clear_partial, current, guarded, run_folder, write_status
 from .work import Died, End, Job, Work, job_of, result_of
 
@@ -80,6 +81,7 @@ def run_batch(plan: Plan, out: Path | str, *, workers: int | None = None, cluste
     extras = extras or Extras()
     extras.check(plan)
     with run_folder(out) as folder:
+        guarded(folder, lambda: write_recipe(folder, plan, excel=extras.excel, wells=extras.wells))
         known: dict[str, Status] = {}
         for task in plan.tasks:
             status = current(folder, plan, task)

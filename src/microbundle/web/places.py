@@ -1,7 +1,8 @@
 """The folders that a person may look into: those the app was started with, what was dropped, and the example.
 
 A place is told as `root/relative/path`, and every path is followed to its end before it is used: one that leads out of
-these folders, by `..` or by a link, is refused. These folders are only ever read.
+these folders, by `..` or by a link, is refused. These folders are only ever read, but
+for the results of a run of `microbundle batch` that is opened to be looked over, decided on or continued.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 from ..batch.find import FILES, is_folder, kind_of
 from ..batch.manifest import MOVIE
 from ..batch.plan import MANIFESTS
+from ..batch.state import RESULTS, STATUS
 from ..errors import ConfigError
 from ..read import natural_key
 from .answers import Refused, not_there
@@ -87,8 +89,15 @@ class Places:
 
     def check_frames(self, movie: Path) -> None:
         """Check that no frame of a movie, and no mask beside it, is a link that leads out. Raises Refused."""
-        self.within(movie)
-        for folder in (movie, movie / "movie", movie / "masks"):
+        self._check_links(movie, movie / "movie", movie / "masks")
+
+    def check_results(self, out: Path) -> None:
+        """Check that nothing in the folder of a run that a terminal began is a link that leads out. Raises Refused."""
+        self._check_links(out, out / RESULTS, out / STATUS)
+
+    def _check_links(self, *folders: Path) -> None:
+        self.within(folders[0])
+        for folder in folders:
             try:
                 with os.scandir(folder) as entries:
                     links = [entry.path for entry in entries if entry.is_symlink()]
@@ -122,7 +131,7 @@ class Places:
             return {"at": at, "kind": kind, "crumbs": crumbs, "entries": [], "more": 0, "openable": kind is not None}
         kind = kind_of(path, LOOKED_AT)
         entries, more = ([], 0) if kind != "folder" else self._entries(path, at)
-        openable = kind == "movie" or any(one["kind"] in ("movie", "folder") for one in entries)
+        openable = kind in ("movie", "batch") or any(one["kind"] in ("movie", "folder") for one in entries)
         return {"at": at, "kind": kind, "crumbs": crumbs, "entries": entries, "more": more, "openable": openable}
 
     def _entries(self, folder: Path, at: str) -> tuple[list[dict[str, Any]], int]:
@@ -141,9 +150,9 @@ class Places:
                 continue
             if kind is None or kind == "app" or path == self.workspace:
                 continue
-            out.append({"name": entry.name, "at": f"{at}/{entry.name}", "kind": "result" if kind == "batch" else kind,
+            out.append({"name": entry.name, "at": f"{at}/{entry.name}", "kind": kind,
                         "modified": about.st_mtime, "bytes": about.st_size if path.is_file() else None})
-        order = {"folder": 0, "movie": 1, "manifest": 2, "result": 3}
+        order = {"folder": 0, "movie": 1, "manifest": 2, "batch": 3, "result": 4}
         return sorted(out, key=lambda one: order[one["kind"]]), max(0, len(seen) - MOST_ENTRIES)
 
 

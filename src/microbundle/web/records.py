@@ -34,6 +34,7 @@ class Record:
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Nested, as in a TOML file of settings."""
     pattern: str | None = None
+    report: bool = True
     figures: bool = False
     movies: bool = False
     excel: bool = False
@@ -52,7 +53,9 @@ class Record:
     count: int | None = None
     """Movies of its plan, where that was made."""
     wells: int | None = None
-    """For the example: wells of its plate."""
+    """Size of its plates, where that is set."""
+    out: str | None = None
+    """Folder of a run that a terminal began; None for one of the workspace."""
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,80}", self.id):
@@ -65,11 +68,13 @@ class Home:
 
     runs: Path
     id: str
+    elsewhere: Path | None = None
+    """Folder of a run that a terminal began."""
 
     @property
     def out(self) -> Path:
         """The batch run's own folder."""
-        return self.runs / self.id
+        return self.elsewhere or self.runs / self.id
 
     @property
     def record(self) -> Path:
@@ -129,6 +134,10 @@ def arguments(home: Home, record: Record) -> list[str]:
         out += ["--config", str(home.settings)]
     if record.pattern:
         out.append(f"--pattern={record.pattern}")
+    if record.wells is not None:
+        out.append(f"--wells={record.wells}")
+    if not record.report:
+        out.append("--no-report")
     return out + [f"--{name}" for name in EXTRAS if getattr(record, name)]
 
 

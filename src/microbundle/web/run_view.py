@@ -133,10 +133,10 @@ class Views:
         return out
 
     def task(self, id: str, key: str) -> Task:
-        """Find a movie of a run. Raises Refused, and MicrobundleError where the source is gone."""
+        """Find a movie of a run, or of what it has measured where its source is gone. Raises Refused."""
         try:
             tasks = self.runs.plan(id).tasks
-        except MicrobundleError:
+        except (MicrobundleError, Refused):
             tasks = tuple(self._kept_tasks(self.runs.home(id)))
         found = next((task for task in tasks if task.key == key), None)
         if found is None:
@@ -144,7 +144,7 @@ class Views:
         return found
 
     def _kept_tasks(self, home: Home) -> list[Task]:
-        """The movies that a run has measured, where its source is gone."""
+        """The movies that a run has measured, where its source is gone or may not be looked into."""
         out = []
         for file in sorted((home.out / STATUS).glob("*.json")):
             status: Status | None = self._file(file, lambda file=file: read_status(  # type: ignore[misc]

@@ -16,14 +16,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..batch.collect import MOVIES
+from ..batch.find import kind_of
 from ..batch.plan import Plan, make_plan
-from ..batch.state import LOCK, hold, whole
+from ..batch.recipe import read_recipe
+from ..batch.state import LOCK, STATUS, hold, whole
 from ..config import Config
 from ..errors import MicrobundleError
 from . import process
 from .answers import Refused, not_there
 from .example import render
-from .places import EXAMPLE, Places
+from .places import EXAMPLE, LOOKED_AT, Places
 from .progress import Progress
 from .records import ACTIVE, EXTRAS, Home, Record, command, new_id, now, read_records, toml, write_record
 
@@ -55,14 +58,17 @@ class Runs:
         """Grows with each change of any record."""
         for record in read_records(self.folder):
             self._records[record.id] = record
-            self._progress[record.id] = Progress(self.home(record.id).events, record.events_from)
+            self._progress[record.id] = Progress(self._home(record).events, record.events_from)
         for record in list(self._records.values()):
             if record.state == "preparing":
                 self._prepare(record)
 
     def home(self, id: str) -> Home:
-        """Where the files of a run lie."""
-        return Home(self.folder, id)
+        """Where the files of a run lie. Raises Refused."""
+        return self._home(self.get(id))
+
+    def _home(self, record: Record) -> Home:
+        return Home(self.folder, record.id, None if record.out is None else Path(record.out))
 
     def all(self) -> list[Record]:
         """All runs, the newest first."""
@@ -114,6 +120,12 @@ class Runs:
     def open(self, at: str, *, new: bool = False) -> Record:
         """Find the run of a place, or make a draft of one. Raises Refused, and MicrobundleError where no movie is."""
         path = self.places.path(at)
+        kind = kind_of(path, LOOKED_AT) if path.is_dir() else "movie"
+        if kind == "batch":
+            return self._open_written(path)
+        if kind == "result":
+            raise Refused(400, "Result", f"{path.name}: this is the result of one movie; its report.html opens in any "
+                          "browser. Open the movie itself to change its masks or beats here")
         if not new:
             with self._lock:
                 known = [one for one in self._records.values() if one.source == str(path)]
@@ -124,6 +136,26 @@ class Runs:
         with self._lock:
             self._plans[record.id] = plan
             return self._keep(replace(record, count=len(plan.tasks)), must=True)
+
+    def _open_written(self, out: Path) -> Record:
+        """Find the run of a folder that microbundle batch wrote, or take that on as it is.
+
+        Raises Refused for links out of it, ResultUnreadable where it does not say how it was made.
+        """
+        self.places.check_results(out)
+        with self._lock:
+            known = [one for one in self._records.values() if self._home(one).out == out]
+            if known:
+                return known[0]
+            recipe, under_way = read_recipe(out), _held(Home(self.folder, "", out))
+            record = replace(
+                self._draft(out.name, Path(recipe.source)), out=str(out), settings=recipe.settings,
+                pattern=recipe.pattern, report=recipe.report, wells=recipe.wells,
+                **{name: getattr(recipe, name) for name in EXTRAS},
+                state="stopped" if under_way or not (out / MOVIES).is_file() else "done",
+                message="A terminal is measuring into this folder." if under_way else "",
+                count=sum(file.suffix == ".json" for file in (out / STATUS).iterdir()))
+            return self._keep(record, must=True)
 
     def open_example(self, wells: int) -> Record:
         """Find the run of the example plate, or render that first, in the background."""
@@ -193,13 +225,14 @@ class Runs:
             return record
 
     def remove(self, id: str) -> None:
-        """Take a run off the list; results go into the trash folder of the workspace, and are not deleted."""
+        """Take a run off the list; results go into the trash folder of the workspace, and are not deleted. Those that a
+        terminal wrote stay where they are."""
         with self._lock:
             record = self.get(id)
             if record.state in ACTIVE:
                 raise Refused(409, "Busy", "this run is under way; cancel it before you remove it")
-            home = self.home(id)
-            if home.out.exists():
+            home = self._home(record)
+            if home.elsewhere is None and home.out.exists():
                 into = self.trash / f"{id}-{now()[:19].replace(':', '')}"
                 into.mkdir(parents=True)
                 for path in (home.out, home.events, home.log, home.settings, home.record):
@@ -224,7 +257,7 @@ class Runs:
                 self._start_now(min(waiting, key=lambda one: one.queued or ""))
 
     def _follow(self, record: Record) -> None:
-        home, child = self.home(record.id), self._children.get(record.id)
+        home, child = self._home(record), self._children.get(record.id)
         code = child.poll() if child is not None else None
         if code is None and (child is not None or process.lives(home, record.pid) or _held(home)):
             if record.id in self._asked:
@@ -240,7 +273,7 @@ class Runs:
         self._keep(replace(record, state=how.state, message=how.message, ended=now(), code=code, pid=None))
 
     def _start_now(self, record: Record) -> None:
-        home = self.home(record.id)
+        home = self._home(record)
         try:
             if record.settings:
                 with whole(home.settings) as stream:
@@ -263,7 +296,8 @@ class Runs:
     def _planned(self, record: Record) -> Plan:
         """Plan a run, and check that all of its movies lie within the folders of this app."""
         config = Config.from_dict(dict(record.settings), source="settings")
-        plan = make_plan(self.places.within(Path(record.source)), config=config, pattern=record.pattern)
+        plan = make_plan(self.places.within(Path(record.source)), config=config, pattern=record.pattern,
+                         report=record.report)
         for task in plan.tasks:
             self.places.within(task.path)
         return plan
@@ -296,13 +330,13 @@ class Runs:
         """Write a record, and take it in. What became of a process is taken in even where the disk is full, for it can
         be found out again; what a person asks for (`must`) is not. Raises OSError for that."""
         try:
-            write_record(self.home(record.id), record)
+            write_record(self._home(record), record)
         except OSError as error:
             if must:
                 raise
             log.warning("%s: the record cannot be written: %s", record.id, error)
         if record.id not in self._progress:
-            self._progress[record.id] = Progress(self.home(record.id).events, record.events_from)
+            self._progress[record.id] = Progress(self._home(record).events, record.events_from)
         self._records[record.id] = record
         self.version += 1
         return record

@@ -1,5 +1,6 @@
 // The tissue's long axis: a line with two handles that turn it.
 
+import { drag } from "./drag.js";
 import { draw } from "./shared.js";
 import { say } from "./page.js";
 
@@ -76,24 +77,25 @@ export class AxisTool {
   }
 
   drag(event, axis, i) {
-    event.preventDefault();
-    event.stopPropagation();
     this.dragging = true;
     this.handles[i].focus();
-    const move = (moved) => {
-      const [row, col] = this.editor.viewer.place(moved);
-      this.angle = turned((Math.atan2(row - axis.center[0], col - axis.center[1]) * 180) / Math.PI);
+    const turn = (angle) => {
+      this.angle = angle;
       this.paint(axis);
-      this.editor.tellAngle(this.angle);
+      this.editor.tellAngle(angle);
     };
-    const end = () => {
-      removeEventListener("pointermove", move);
-      removeEventListener("pointerup", end);
-      this.dragging = false;
-      this.editor.setAxis(Number(this.angle.toFixed(2)));
-    };
-    addEventListener("pointermove", move);
-    addEventListener("pointerup", end);
+    drag(
+      event,
+      (moved) => {
+        const [row, col] = this.editor.viewer.place(moved);
+        turn(turned((Math.atan2(row - axis.center[0], col - axis.center[1]) * 180) / Math.PI));
+      },
+      (completed) => {
+        this.dragging = false;
+        if (completed) this.editor.setAxis(Number(this.angle.toFixed(2)));
+        else turn(axis.angle_deg);
+      },
+    );
   }
 
   key(event) {

@@ -8,7 +8,8 @@ const KINDS = {
   folder: ["Folder", "M3 6h6l2 2h10v11H3z"],
   movie: ["Movie", "M4 5h16v14H4zM4 9h16M4 15h16M8 5v4M16 5v4M8 15v4M16 15v4"],
   manifest: ["List of movies", "M5 3h14v18H5zM8 8h8M8 12h8M8 16h5"],
-  result: ["Result", "M4 20V4M4 20h16M7 16l4-6 3 3 5-8"],
+  batch: ["Results of a run", "M4 20V4M4 20h16M7 16l4-6 3 3 5-8"],
+  result: ["Result of a movie", "M4 20V4M4 20h16M7 16l4-6 3 3 5-8"],
 };
 const LONG = 12;
 
@@ -67,7 +68,9 @@ export class Browser {
     this.told.textContent = found.openable
       ? movies
         ? `${movies === 1 ? "The movie" : `All ${movies} movies`} in it, and those in the folders below.`
-        : "All movies in the folders below."
+        : found.kind === "batch"
+          ? "The results of a run, as it was started in a terminal."
+          : "All movies in the folders below."
       : "Choose a folder, then a movie or the whole folder.";
     this.list();
     return found;

@@ -1,5 +1,6 @@
 // The corners of a mask's outline: dragged by mouse, moved by keys, added on an edge, taken away.
 
+import { drag } from "./drag.js";
 import { Raster } from "./raster.js";
 import { draw } from "./shared.js";
 import { say } from "./page.js";
@@ -134,33 +135,28 @@ export class OutlineTool {
 
   drag(event, r, i) {
     if (event.button !== 0) return;
-    event.preventDefault();
-    event.stopPropagation();
     this.current = [r, i];
     this.dragging = true;
     const dot = this.dots[r][i],
       [own, edge] = this.layer.children,
       start = this.rings[r][i];
     dot.focus();
-    const move = (moved) => {
-      this.rings[r][i] = this.editor.viewer.inside(this.editor.viewer.place(moved));
-      const [row, col] = this.rings[r][i];
-      dot.setAttribute("cx", col + 0.5);
-      dot.setAttribute("cy", row + 0.5);
-      for (const path of [own, edge]) path.setAttribute("d", ringPath(this.rings));
-    };
-    const end = (done) => {
-      removeEventListener("pointermove", move);
-      removeEventListener("pointerup", end);
-      removeEventListener("pointercancel", end);
-      this.dragging = false;
-      if (done.type === "pointercancel") this.rings[r][i] = start;
-      if (distance(this.rings[r][i], start) > 0.05) this.commit();
-      else this.render();
-    };
-    addEventListener("pointermove", move);
-    addEventListener("pointerup", end);
-    addEventListener("pointercancel", end);
+    drag(
+      event,
+      (moved) => {
+        this.rings[r][i] = this.editor.viewer.inside(this.editor.viewer.place(moved));
+        const [row, col] = this.rings[r][i];
+        dot.setAttribute("cx", col + 0.5);
+        dot.setAttribute("cy", row + 0.5);
+        for (const path of [own, edge]) path.setAttribute("d", ringPath(this.rings));
+      },
+      (completed) => {
+        this.dragging = false;
+        if (!completed) this.rings[r][i] = start;
+        if (distance(this.rings[r][i], start) > 0.05) this.commit();
+        else this.render();
+      },
+    );
   }
 
   addAt(event) {

@@ -70,7 +70,7 @@ function render() {
 
 const all = () => [...movies.values()];
 const count = (keep) => all().filter(keep).length;
-const stale = () => count((movie) => movie.stale);
+const waiting = () => count((movie) => movie.stale || movie.state === "todo");
 
 function nextText() {
   const { total = movies.size, done = 0, seconds_left: left = null } = run.progress ?? {},
@@ -112,8 +112,8 @@ function nextText() {
         .filter(([n]) => n)
         .map(([n, words]) => `${n} ${words}`)
         .join(", ");
-      return stale()
-        ? `You have changed ${counted(stale(), "movie")} since. Measure ${stale() === 1 ? "it" : "them"} again.`
+      return waiting()
+        ? `${counted(waiting(), "movie")} ${waiting() === 1 ? "is" : "are"} new, or changed since they were measured.`
         : `Measured: ${text}. Open a movie to look at it, or take everything away.`;
     }
   }
@@ -127,14 +127,14 @@ function renderNext() {
     draft: `Start measuring ${counted(movies.size, "movie")}`,
     stopped: "Go on",
     failed: "Try again",
-    done: stale() ? `Measure ${counted(stale(), "movie")} again` : null,
+    done: waiting() ? `Measure ${counted(waiting(), "movie")}` : null,
   }[state];
   byId("go").hidden = !text || !movies.size;
   byId("go").textContent = text ?? "";
   byId("cancel").hidden = !["running", "queued"].includes(state);
   byId("clear").hidden = ["running", "queued", "preparing"].includes(state);
   byId("zip").hidden = !count((movie) => movie.state === "done");
-  byId("zip").classList.toggle("main", state === "done" && !stale());
+  byId("zip").classList.toggle("main", state === "done" && !waiting());
   byId("progress").hidden = !running && state !== "stopped";
   byId("bar").value = progress.share ?? 0;
   byId("left").textContent = running ? `${Math.floor(100 * (progress.share ?? 0))} %` : "";

@@ -1,5 +1,6 @@
 // The rectangle that is divided into sub-domains: moved as a whole or by its sides, in the tissue's axes.
 
+import { drag } from "./drag.js";
 import { ringPath } from "./outline.js";
 import { draw } from "./shared.js";
 import { say } from "./page.js";
@@ -102,25 +103,24 @@ export class TilesTool {
   }
 
   drag(event, which) {
-    event.preventDefault();
-    event.stopPropagation();
     this.dragging = true;
     event.target.focus();
     const from = toTissue(this.editor.viewer.place(event), this.axis),
       start = [...this.extents];
-    const move = (now) => {
-      const to = toTissue(this.editor.viewer.place(now), this.axis);
-      this.extents = this.moved(start, which, [to[0] - from[0], to[1] - from[1]]);
-      this.paint();
-    };
-    const end = () => {
-      removeEventListener("pointermove", move);
-      removeEventListener("pointerup", end);
-      this.dragging = false;
-      if (this.extents.some((one, i) => one !== start[i])) this.editor.setExtents(this.extents);
-    };
-    addEventListener("pointermove", move);
-    addEventListener("pointerup", end);
+    drag(
+      event,
+      (now) => {
+        const to = toTissue(this.editor.viewer.place(now), this.axis);
+        this.extents = this.moved(start, which, [to[0] - from[0], to[1] - from[1]]);
+        this.paint();
+      },
+      (completed) => {
+        this.dragging = false;
+        if (!completed) this.extents = start;
+        if (this.extents.some((one, i) => one !== start[i])) this.editor.setExtents(this.extents);
+        else this.paint();
+      },
+    );
   }
 
   key(event, which) {
