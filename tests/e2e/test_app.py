@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -64,6 +65,30 @@ def test_folders_are_browsed_and_names_run_nothing(visit: Visit) -> None:
     page.get_by_role("navigation", name="Folder").get_by_role("button", name="movies").click()
     expect(page.locator(".entry")).to_have_count(2)
     assert page.title() == "Open a movie – microbundle"
+
+
+def test_what_a_terminal_measured_opens(visit: Visit, app: App, run: str) -> None:
+    written = app.folder / "from_a_terminal"
+    shutil.copytree(app.workspace / "runs" / run, written)
+    try:
+        page = visit()
+        page.locator(".entry", has_text="from_a_terminal").click()
+        page.wait_for_url("**/run/*")
+        here = page.url
+        expect(page.locator("#state")).to_have_text("Done")
+        expect(page.locator("#next-text")).to_contain_text("Measured")
+        expect(page.locator("#go")).to_be_hidden()
+        page.locator("#table tbody th a").first.click()
+        expect(page.locator("#panel-movie .stage")).to_have_attribute("data-frame", "0")
+        page.get_by_role("tab", name="Result").click()
+        expect(page.frame_locator("iframe").locator("h1")).to_contain_text("P1_A1")
+        page.goto(here)
+        page.on("dialog", lambda dialog: dialog.accept())
+        page.get_by_role("button", name="Take off the list").click()
+        page.wait_for_url(lambda url: "/run/" not in url)
+        assert (written / "movies.csv").is_file()
+    finally:
+        shutil.rmtree(written)
 
 
 def test_dropped_files_are_copied_and_opened(visit: Visit, plate: Path) -> None:

@@ -23,7 +23,7 @@ from microbundle.read import read_movie
 from microbundle.store import load
 from microbundle.strain import measure_strain
 from microbundle.web import frames
-from microbundle.web.frames import Movies
+from microbundle.web.frames import Movies, timing
 from microbundle.web.settings import sections
 
 from .conftest import Image, Opened, mask_png, run_of, said
@@ -66,9 +66,16 @@ def test_frames_are_those_of_the_movie_with_limits_that_stay(fresh: Measured, sm
     for t in (0, 9, 39):
         expected = 255 * np.clip((small[t] - grey["low"]) / (grey["high"] - grey["low"]), 0, 1)
         assert np.abs(picture(client.get(f"{room}/frame?t={t}")) - expected).mean() < 4
+    assert about["info"]["time_s"] is None
     dark = picture(client.get(f"{room}/frame?t=0&low=0&high=1000000"))
     assert dark.max() < 30
     assert picture(client.get(f"{room}/frame?t=0&width=64")).shape == (round(88 * 64 / 192), 64)
+
+
+def test_frames_that_are_not_evenly_spaced_have_their_own_times() -> None:
+    assert timing(None) == {"frames_per_s": None, "time_s": None}
+    assert timing(2 + np.arange(9) / 30) == {"frames_per_s": pytest.approx(30), "time_s": None}
+    assert timing(np.array([1.0, 1.1, 1.2, 1.35])) == {"frames_per_s": pytest.approx(10), "time_s": [0, 0.1, 0.2, 0.35]}
 
 
 def test_a_frame_is_sent_once(fresh: Measured) -> None:

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from ..config import Config
-from ..data import Movie
+from ..data import Floats, Movie
 from ..formats.opened import stamp
 from ..read import calibrated, prepare, read_movie
 from .answers import Refused, not_there
@@ -31,6 +31,17 @@ LOW_PCT, HIGH_PCT = 1.0, 99.5
 BINS = 64
 QUALITY = 85
 NARROWEST, WIDEST = 16, 4096
+EVEN_WITHIN = 0.05
+"""Frames that are no farther from even times than this share of a step are evenly spaced."""
+
+
+def timing(time_s: Floats | None) -> dict[str, Any]:
+    """Say how fast a movie is played, and when its frames were taken where they are not evenly spaced."""
+    if time_s is None or len(time_s) < 2:
+        return {"frames_per_s": None, "time_s": None}
+    step, since = float(np.median(np.diff(time_s))), time_s - time_s[0]
+    even = np.allclose(since, step * np.arange(len(since)), rtol=0, atol=EVEN_WITHIN * step)
+    return {"frames_per_s": 1 / step, "time_s": None if even else since.round(4).tolist()}
 
 
 @dataclass(frozen=True)

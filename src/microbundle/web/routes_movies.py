@@ -16,7 +16,7 @@ from ..read import describe
 from . import clicks, decided, masks
 from .answers import Refused, answer, body_of, not_there, number_in
 from .desk import Desk
-from .frames import Shown
+from .frames import Shown, timing
 from .results import files_of, findings_of, report_page, result_of, told
 from .routes_runs import desk_of, run_of
 
@@ -58,7 +58,7 @@ def _info(desk: Desk, run: str, task: Task) -> dict[str, Any]:
     one = shown.movie
     missing = [name for name, value in (("fps", one.time_s), ("um_per_px", one.um_per_px)) if value is None]
     return {"to_choose": None, "problem": None, "missing": missing, "info": {
-        "frames": one.count, "rows": one.shape[0], "cols": one.shape[1], "frames_per_s": one.frames_per_s,
+        "frames": one.count, "rows": one.shape[0], "cols": one.shape[1], **timing(one.time_s),
         "time_source": one.time_source, "um_per_px": one.um_per_px, "um_per_px_source": one.um_per_px_source,
         "duration_s": None if one.time_s is None else float(one.time_s[-1]), "masks": sorted(one.supplied_masks),
         "number_type": str(one.frames[0].dtype), "format": "folder" if task.path.is_dir() else

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
@@ -12,6 +11,7 @@ from starlette.routing import Route
 from ..store import glance
 from .answers import Refused, answer, body_of, text_in
 from .desk import Desk
+from .frames import timing
 from .masks import polygons
 from .results import result_of
 from .review import Case
@@ -51,8 +51,7 @@ def _told(desk: Desk, one: Case) -> dict[str, Any]:
     rows, cols = found.tissue.shape
     outer, holes = polygons(found.tissue)
     return {
-        "info": {"frames": found.frame_count, "rows": rows, "cols": cols,
-                 "frames_per_s": None if found.time_s is None else float(1 / np.median(np.diff(found.time_s)))},
+        "info": {"frames": found.frame_count, "rows": rows, "cols": cols, **timing(found.time_s)},
         "outlines": {"tissue": outer, "holes": holes,
                      "pillars": [line for mask in found.pillars for line in polygons(mask)[0]]},
         "beats": found.beat_count,

@@ -348,9 +348,11 @@ onClick(byId("cancel"), async () => {
   say("Stopping. What is measured is kept.");
 });
 onClick(byId("clear"), async () => {
-  const words = count((movie) => movie.state === "done")
-    ? "Its results are moved to the workspace’s folder trash."
-    : "It has no results.";
+  const words = run.elsewhere
+    ? "Its results stay where they are."
+    : count((movie) => movie.state === "done")
+      ? "Its results are moved to the workspace’s folder trash."
+      : "It has no results.";
   if (!confirm(`Take “${run.title}” off the list? ${words}`)) return;
   await send("DELETE", ofRun(id));
   location.assign("/");

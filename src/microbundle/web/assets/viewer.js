@@ -19,7 +19,7 @@ const SPEEDS = [
 const ZOOMS = [1, 1.5, 2, 3, 4, 6, 8];
 
 export class Viewer {
-  // `base` is the address of frame and grey; `info`: frames, rows, cols, frames_per_s; `state` (frame) may be shared.
+  // `base` is the address of frame and grey; `info`: frames, rows, cols, frames_per_s, time_s; `state` (frame) may be shared.
   constructor(host, { base, info, label, state = new State({ frame: 0 }), controls = true, tools = [] }) {
     Object.assign(this, { base, info, state, zoom: 1, playing: null, speed: 1, look: {}, shown: null });
     this.canvas = make("canvas", { width: info.cols, height: info.rows });
@@ -65,8 +65,9 @@ export class Viewer {
   }
 
   when(t) {
-    const rate = this.info.frames_per_s;
-    return `frame ${t}${rate ? `, ${(t / rate).toFixed(3)} s` : ""}`;
+    const { time_s: times, frames_per_s: rate } = this.info,
+      at = times?.[t] ?? (rate ? t / rate : null);
+    return `frame ${t}${at === null ? "" : `, ${at.toFixed(3)} s`}`;
   }
 
   // --- controls ----------------------------------------------------------------------------------------------------
