@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 import microbundle
+from microbundle.bodies import follow_body
 from microbundle.data import Floats, Image, Movie
 from microbundle.errors import CannotMeasure, ConfigError, MaskUnusable, NoTexture
-from microbundle.subsets import follow_body, follow_points
+from microbundle.subsets import follow_points
 from microbundle.synth.motion import Composed, Motion, RigidMotion, UniformStretch
 from microbundle.synth.render import Rendered
 from microbundle.synth.texture import band_limited, procedural_tissue

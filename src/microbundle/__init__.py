@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from .statistics.compare import compare
     from .statistics.write import write_comparison
     from .store import load, save
-    from .subsets import follow_body, follow_points
+    from .subsets import follow_points
     from .uncertainty import alternatives, displacement_error_at, standard_errors
     from .workbook import write_workbook
 
@@ -54,7 +54,7 @@ _HOME = {
     "tables": "metrics", "write_workbook": "workbook",
     **dict.fromkeys(("Decisions", "read_decisions", "write_decisions"), "decisions"),
     **dict.fromkeys(("write_index", "write_report"), "report"),
-    **dict.fromkeys(("follow_body", "follow_points"), "subsets"),
+    "follow_body": "bodies", "follow_points": "subsets",
     **dict.fromkeys(("alternatives", "displacement_error_at", "standard_errors"), "uncertainty"),
     **dict.fromkeys(("CalibrationMissing", "CannotMeasure", "ChoiceMissing", "ClusterUnusable", "ConfigError",
                      "MaskUnusable", "MicrobundleError", "MovieUnreadable", "NoPillars", "NoTexture", "NoTissue",

@@ -78,7 +78,7 @@ class Patches:
 
     def __init__(self, picture: Float32, usable: Bools, corner: Ints, size: tuple[int, int], center: Floats,
                  model: Model) -> None:
-        self.picture, self.corner, self.center, self.rigid = picture, corner, center, model != "affine"
+        self.corner, self.center, self.rigid = corner, center, model != "affine"
         rows, cols = (corner[:, axis, None] + np.arange(size[axis]) for axis in (0, 1))
         at = tuple(np.clip(place, 0, n - 1) for place, n in zip((rows[:, :, None], cols[:, None]), picture.shape,
                                                               strict=True))

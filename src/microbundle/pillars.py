@@ -1,7 +1,7 @@
 """Follow the pillars: a movie becomes the motion of each pillar's head.
 
 A head is a rigid body: it is registered as one, by translation and rotation, against the reference frame and then
-against the mean of all frames (`subsets.follow_body`). The rim of the mask, where the head's own picture gives way to
+against the mean of all frames (`bodies.follow_body`). The rim of the mask, where the head's own picture gives way to
 its shadow and to tissue that move less, is left out. The head's four quarters are followed too: a real head tilts and
 is partly covered, and how much its quarters disagree is the error of the whole that noise does not explain. The method
 `paper` follows corners in the pillar's mask from frame to frame, as the published tool does, and takes the mean of
@@ -12,19 +12,23 @@ Source: paper, "Pillar tracking"; the published tool's behaviour for `paper`.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
 
 from .axis import measure_axis
+from .bodies import Body, follow_bodies
+from .bspline import Float32
 from .config import Config, Reading
-from .data import BodyMotion, Bools, Finding, Floats, Masks, Movie, PillarMotion, Pillars
+from .data import BodyMotion, Bools, Finding, Floats, Ints, Masks, Movie, PillarMotion, Pillars
 from .errors import CannotMeasure, ConfigError, MaskUnusable, NoPillars
 from .markers import place_markers
 from .pillar_masks import find_pillars
 from .prepare import Prepared
-from .subsets import follow_body
 from .track import track_markers
 
 RIM_SHARE = 0.06
@@ -69,17 +73,21 @@ def measure_pillars(movie: Movie, masks: Masks, reference_frame: int,
 
 def _as_bodies(movie: Movie, pillars: Pillars, reference_frame: int, _: Config) -> PillarMotion:
     motion = _nothing(movie, pillars, "body")
-    findings = []
-    for p, mask in enumerate(pillars.masks):
-        inside = without_rim(mask)
+    findings, bodies = [], dict[int, Body]()
+    picture = None
+    insides = [without_rim(mask) for mask in pillars.masks]
+    for p, inside in enumerate(insides):
         try:
-            body = follow_body(movie, inside, reference_frame=reference_frame)
+            bodies[p] = Body(movie, inside, reference_frame, picture=picture)
         except CannotMeasure as why:
             findings.append(_not_followed(pillars.names[p], why))
-            continue
+        else:
+            picture = bodies[p].picture
+    moved = dict(zip(bodies, follow_bodies(movie, list(bodies.values())), strict=True))
+    gains = _disagreement(movie, picture, {p: (insides[p], body) for p, body in moved.items()})
+    for p, body in moved.items():
         motion.shift_px[:, p], motion.shift_se_px[:, p] = body.translation_px, body.translation_se_px
-        motion.rotation_deg[:, p] = body.rotation_deg
-        motion.gain_se[p] = _disagreement(movie, inside, body)
+        motion.rotation_deg[:, p], motion.gain_se[p] = body.rotation_deg, gains[p]
     return replace(motion, findings=tuple(findings))
 
 
@@ -90,33 +98,60 @@ def without_rim(mask: Bools) -> Bools:
     return inside if inside.sum() >= FEWEST_INSIDE_PX else mask
 
 
-def _disagreement(movie: Movie, mask: Bools, body: BodyMotion) -> float:
-    """Standard error of the body's motion as a share of it, by how differently the mask's quarters follow it; NaN
+def _disagreement(movie: Movie, picture: Float32 | None,
+                  heads: Mapping[int, tuple[Bools, BodyMotion]]) -> dict[int, float]:
+    """Standard error of each body's motion as a share of it, by how differently its mask's quarters follow it; NaN
     where the body does not move, or its quarters show too little."""
+    out = dict.fromkeys(heads, np.nan)
+    if not heads:
+        return out
+    first = next(iter(heads.values()))[1].reference_frame
     every = np.linspace(0, movie.count - 1, min(movie.count, MOST_FRAMES)).astype(int)
-    frames = np.unique(np.append(every, body.reference_frame))
-    reference = int(np.searchsorted(frames, body.reference_frame))
+    frames = np.unique(np.append(every, first))
+    reference = int(np.searchsorted(frames, first))
     some = replace(movie, frames=Prepared(movie.frames, frames, (0, movie.shape[0], 0, movie.shape[1]), Reading()),
                    time_s=None)
-    moved = body.translation_px[frames] - body.translation_px[body.reference_frame]
-    seen = np.isfinite(moved).all(axis=1)
-    if seen.sum() < 3 or not moved[seen].any():
-        return np.nan
-    direction = np.linalg.svd(moved[seen] - moved[seen].mean(axis=0), full_matrices=False)[2][0]
-    whole = moved @ direction
+    found = {p: _Whole.of(body, frames) for p, (_, body) in heads.items()}
+    quarters = []
+    for p, (mask, body) in heads.items():
+        for quarter in _quarters(mask, body.center_px) if found[p] is not None else ():
+            with suppress(CannotMeasure, MaskUnusable):
+                quarters.append((p, Body(some, quarter, reference, "translation", picture=picture)))
+    gains = defaultdict[int, list[float]](list)
+    for (p, _), part in zip(quarters, follow_bodies(some, [body for _, body in quarters]), strict=True):
+        whole = found[p]
+        assert whole is not None
+        along = (part.translation_px - _turned(heads[p][1], part.center_px)[frames]) @ whole.direction
+        both = whole.seen & np.isfinite(along)
+        if both.sum() > 2 and np.ptp(whole.along[both]) > 0:
+            gains[p].append(float(np.polyfit(whole.along[both], along[both], 1)[0]))
+    return out | {p: float(np.std(each, ddof=1) / np.sqrt(len(each))) for p, each in gains.items() if len(each) > 1}
+
+
+@dataclass(frozen=True)
+class _Whole:
+    """The main direction in which a body moves, and how far along it in some frames."""
+
+    direction: Floats
+    along: Floats
+    seen: Bools
+
+    @classmethod
+    def of(cls, body: BodyMotion, frames: Ints) -> _Whole | None:
+        """Find it in frames; None where the body is not seen, or does not move."""
+        moved = body.translation_px[frames] - body.translation_px[body.reference_frame]
+        seen = np.isfinite(moved).all(axis=1)
+        if seen.sum() < 3 or not moved[seen].any():
+            return None
+        direction = np.linalg.svd(moved[seen] - moved[seen].mean(axis=0), full_matrices=False)[2][0]
+        return cls(direction, moved @ direction, seen)
+
+
+def _quarters(mask: Bools, center_px: Floats) -> Iterator[Bools]:
+    """The four parts of a mask around its centre."""
     row, col = np.indices(mask.shape)
-    below, right = row > body.center_px[0], col > body.center_px[1]
-    gains = []
-    for quarter in (mask & a & b for a in (below, ~below) for b in (right, ~right)):
-        try:
-            part = follow_body(some, quarter, reference_frame=reference, model="translation")
-        except (CannotMeasure, MaskUnusable):
-            continue
-        along = (part.translation_px - _turned(body, part.center_px)[frames]) @ direction
-        both = seen & np.isfinite(along)
-        if both.sum() > 2 and np.ptp(whole[both]) > 0:
-            gains.append(float(np.polyfit(whole[both], along[both], 1)[0]))
-    return float(np.std(gains, ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else np.nan
+    below, right = row > center_px[0], col > center_px[1]
+    yield from (mask & a & b for a in (below, ~below) for b in (right, ~right))
 
 
 def _turned(body: BodyMotion, point_px: Floats) -> Floats:
