@@ -37,7 +37,6 @@ from microbundle.synth.render import with_noise
 from microbundle.synth.scenes import Analytic
 from microbundle.synth.scores import compare, score
 from microbundle.synth.texture import SplineTexture, band_limited, procedural_tissue
-from microbundle.synth.validate import draw
 
 SIGMAS = (0.002, 0.005, 0.01, 0.02)
 """Standard deviation of the noise as a share of full scale."""
@@ -219,7 +218,7 @@ def pooled(sigma: float, seed: int) -> tuple[float, float, float]:
     perfect = np.stack([clean.rendered.perfect(t) for t in range(clean.movie.count)])
     rmse = []
     for noise in (NoiseModel(read_noise=sigma, seed=seed), NoiseModel()):
-        movie = draw(with_noise(clean, noise), perfect)
+        movie = with_noise(clean, noise).drawn(perfect)
         result = analyze(movie.movie, Config(method="accurate"))
         rmse.append(score(compare(movie, result, case.domain)).rmse_px)
     window = Window(result.masks.tissue, result.image)

@@ -24,7 +24,6 @@ from microbundle.data import Beats
 from microbundle.synth.cases import STILL, Case, camera, perlin
 from microbundle.synth.noise import NoiseModel
 from microbundle.synth.scenes import Analytic
-from microbundle.synth.validate import draw
 
 SHAPE, FRAMES = (96, 160), 60
 METHODS: tuple[Method, ...] = ("accurate", "fast")
@@ -65,7 +64,7 @@ def beats_of(kind: str, seed: int, method: Method, amplitude_px: float = 0.0) ->
     scene = Analytic(0.0, seed, shape=SHAPE, frames=FRAMES, side_px=30.0, drift_px=drift)
     if amplitude_px > 0:
         scene = replace(scene, mad_px=amplitude_px / tissue_share(scene))
-    movie = draw(Case("detection", STILL, scene, noise(seed)).make()).movie
+    movie = Case("detection", STILL, scene, noise(seed)).make().drawn().movie
     return analyze(movie, Config.from_dict({"method": method, "registration": {"threads": 1}})).beats
 
 

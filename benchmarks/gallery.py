@@ -22,7 +22,6 @@ from microbundle.movies import write_movie
 from microbundle.style import settings
 from microbundle.synth.cases import camera, case_set
 from microbundle.synth.plate import render_plate
-from microbundle.synth.validate import draw as draw_frames
 
 DOCS = Path(__file__).parent.parent / "docs"
 PICTURES = DOCS / "gallery"
@@ -85,12 +84,12 @@ def picture(analysis: Analysis, kind: str, name: str) -> None:
 def rendered() -> None:
     """Pictures and movies of a finite-element bundle under a camera's noise, whose motion is known: every kind."""
     case = next(c for c in case_set("paper") if c.name == "homogeneous-X-1")
-    movie = draw_frames(replace(case, noise=camera(3)).make()).movie
+    movie = replace(case, noise=camera(3)).make().drawn().movie
     settings_of_movie = {"pillars": {"stiffness_un_per_um": 2.677}, "reading": {"stop_frame": 100}}
     config = Config.from_dict(settings_of_movie)
     analysis = analyze(movie, config)
     travelling = next(c for c in case_set("frontier") if c.name == "clean-1.6px-travelling")
-    delayed = analyze(draw_frames(travelling.make()).movie)  # all of the bundle of finite elements contracts at once
+    delayed = analyze(travelling.make().drawn().movie)  # all of the bundle of finite elements contracts at once
     for kind in KINDS:
         shown = delayed if kind == "delay" else analysis
         why = why_not(shown, kind)

@@ -39,7 +39,6 @@ from microbundle.synth.noise import NoiseModel
 from microbundle.synth.scenes import Analytic
 from microbundle.synth.scores import true_displacement
 from microbundle.synth.truth import TrueBeats, true_beats
-from microbundle.synth.validate import draw
 
 SHAPE, FRAMES, SIDE_PX = (160, 256), 60, 48.0
 FIRST_SEED = 301
@@ -88,7 +87,7 @@ def ask(kind: str, seed: int) -> Question:
     """Make a movie; the reference is the frame in which the tissue is most at rest."""
     amplitude, noise = KINDS[kind]
     case = Case(kind, CLEAN_LARGE, Analytic(amplitude, seed, shape=SHAPE, frames=FRAMES, side_px=SIDE_PX), noise(seed))
-    synthetic = draw(case.make())
+    synthetic = case.make().drawn()
     home = case.domain.points_px.reshape(-1, 2)
     true, beats = true_displacement(synthetic.truth, home), true_beats(synthetic.truth)
     resting = np.flatnonzero(beats.resting)

@@ -24,7 +24,6 @@ from microbundle.strain import fit_gradient
 from microbundle.synth.cases import Case, camera, case_set, perlin
 from microbundle.synth.noise import NoiseModel
 from microbundle.synth.render import SyntheticMovie
-from microbundle.synth.validate import draw
 
 SETTINGS = {"pillars": {"stiffness_un_per_um": 1.0}}
 STEP_PX = 2
@@ -110,7 +109,7 @@ def main() -> None:
     for name, case in cases().items():
         if wanted and not any(w in name for w in wanted):
             continue
-        synthetic = draw(case.make())
+        synthetic = case.make().drawn()
         for masks in ("supplied", "auto"):
             print(line(name, synthetic, masks), flush=True)
 

@@ -31,7 +31,6 @@ from microbundle.synth import faults
 from microbundle.synth.cases import CLEAN_LARGE, Case, camera
 from microbundle.synth.render import SyntheticMovie
 from microbundle.synth.scenes import Analytic
-from microbundle.synth.validate import draw
 
 METHODS: tuple[Method, ...] = ("accurate", "fast")
 FRAMES, PERIOD = 72, 24
@@ -135,7 +134,7 @@ def good(seed: int, **changes: object) -> SyntheticMovie:
                            read=rng.uniform(0.001, 0.004)), bits=int(rng.choice([8, 12, 16])))
     scene |= changes
     mad = scene.pop("mad_px")
-    return draw(Case(f"good-{seed}", CLEAN_LARGE, Analytic(mad, seed, **scene), noise).make())  # type: ignore[arg-type]
+    return Case(f"good-{seed}", CLEAN_LARGE, Analytic(mad, seed, **scene), noise).make().drawn()  # type: ignore[arg-type]
 
 
 def noticed(seed: int) -> list[tuple[str, str, bool, float]]:

@@ -13,12 +13,11 @@ from microbundle.modes import faintest_in
 from microbundle.synth.cases import STILL, Case, camera, perlin
 from microbundle.synth.noise import NoiseModel
 from microbundle.synth.scenes import Analytic
-from microbundle.synth.validate import draw
 
 
 def small(noise: NoiseModel, method: str, *, mad_px: float = 0.0, drift_px=(0.0, 0.0)) -> Analysis:
     scene = Analytic(mad_px, noise.seed, shape=(96, 160), frames=60, side_px=30.0, drift_px=drift_px)
-    return analyze(draw(Case("small", STILL, scene, noise).make()).movie, Config.from_dict({"method": method}))
+    return analyze(Case("small", STILL, scene, noise).make().drawn().movie, Config.from_dict({"method": method}))
 
 
 @pytest.mark.parametrize("method", ["accurate", "fast"])

@@ -20,14 +20,13 @@ from microbundle.quality_result import check_result, opposite_quarters, upstroke
 from microbundle.synth import faults
 from microbundle.synth.cases import CLEAN_LARGE, Case, camera
 from microbundle.synth.scenes import Analytic
-from microbundle.synth.validate import draw
 
 
 @pytest.fixture(scope="module")
 def good():
     """A movie without faults, and its masks."""
     scene = Analytic(0.8, 7, shape=(128, 224), frames=50, side_px=40.0)
-    movie = draw(Case("good", CLEAN_LARGE, scene, camera(7)).make()).movie
+    movie = Case("good", CLEAN_LARGE, scene, camera(7)).make().drawn().movie
     return movie, find_masks(movie, MaskParams())
 
 
@@ -144,7 +143,7 @@ def test_tissue_at_the_border_or_all_over_or_tiny(good):
 
 def test_drawn_movie_without_noise_may_rest():
     scene = Analytic(0.8, 8, shape=(128, 224), frames=40, side_px=40.0)
-    movie = draw(Case("drawn", CLEAN_LARGE, scene).make()).movie
+    movie = Case("drawn", CLEAN_LARGE, scene).make().drawn().movie
     assert check_movie(movie, find_masks(movie, MaskParams())) == ()
 
 

@@ -10,7 +10,6 @@ from microbundle.pipeline import analyze
 from microbundle.stage_motion import StageMotion, measure_stage, stage_finding
 from microbundle.synth.cases import STILL, Case, camera
 from microbundle.synth.scenes import Analytic
-from microbundle.synth.validate import draw
 
 FRAMES = 30
 
@@ -62,7 +61,7 @@ def test_empty_or_missing_ground_gives_nothing():
 @pytest.mark.parametrize("drift_px", [(0.02, -0.01), (0.0, 0.0)])
 def test_drift_is_a_finding_and_stillness_none(drift_px):
     scene = Analytic(0.8, 5, shape=(256, 320), frames=48, side_px=60.0, drift_px=drift_px)
-    found = analyze(draw(Case("stage", STILL, scene, camera(5)).make()).movie)
+    found = analyze(Case("stage", STILL, scene, camera(5)).make().drawn().movie)
     assert found.stage_px is not None
     steady = np.arange(48)[:, None] * np.array(drift_px)
     off = found.stage_px - steady

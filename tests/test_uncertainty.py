@@ -18,7 +18,7 @@ def noisy():
     """A movie of 0.8 px with camera noise: the result, and its comparison with the truth."""
     case = Case("noisy", "noisy", Analytic(0.8, 5, shape=(160, 256), frames=100, side_px=60.0),
                 camera(5, electrons=4_000, read=0.005))
-    made = case.make()
+    made = case.make().drawn()
     analysis = analyze(made.movie)
     return analysis, compare(made, analysis, case.domain)
 
@@ -47,7 +47,7 @@ def test_strain_is_as_wrong_as_it_says(noisy):
 
 def test_more_noise_gives_larger_errors(noisy):
     quiet = Case("quiet", "clean", Analytic(0.8, 5, shape=(160, 256), frames=100, side_px=60.0), camera(5))
-    result = analyze(quiet.make().movie)
+    result = analyze(quiet.make().drawn().movie)
     less, more = (tables(a)["beats"]["e_cc_peak_se"].mean() for a in (result, noisy[0]))
     assert more > 1.3 * less > 0
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -55,8 +55,7 @@ class Demo:
 def run_demo(tell: Tell = ignore, seed: int = 0) -> Demo:
     """Render a small beating tissue, analyze it with default settings, and compare with its exact motion."""
     synthetic = beating_tissue(SHAPE, FRAMES, seed=seed)
-    movie = replace(synthetic.movie, frames=synthetic.array())  # drawn once, though several stages look at it
-    analysis = analyze(movie, Config(), tell=tell)
+    analysis = analyze(synthetic.drawn().movie, Config(), tell=tell)
     return compare(synthetic, analysis)
 
 

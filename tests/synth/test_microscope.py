@@ -11,7 +11,6 @@ from microbundle.synth.cases import camera, case_set
 from microbundle.synth.microscope import framed, full_scale, measure_noise, texture_cases
 from microbundle.synth.render import with_noise
 from microbundle.synth.scores import compare, score
-from microbundle.synth.validate import draw
 
 from .stand_in import StandIn
 
@@ -19,7 +18,8 @@ from .stand_in import StandIn
 @pytest.fixture(scope="module")
 def movie():
     """A small synthetic movie under a camera's noise, in the place of a user's."""
-    return draw(with_noise(case_set("smoke")[0].make(), replace(camera(5, electrons=8_000, read=0.004), bits=16))).movie
+    noise = replace(camera(5, electrons=8_000, read=0.004), bits=16)
+    return with_noise(case_set("smoke")[0].make(), noise).drawn().movie
 
 
 @pytest.fixture(scope="module")

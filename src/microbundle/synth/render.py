@@ -280,6 +280,16 @@ class SyntheticMovie:
         """Draw all frames (T, R, C)."""
         return np.stack([self.rendered[t] for t in range(len(self.rendered))])
 
+    def drawn(self, clean: Floats | None = None) -> SyntheticMovie:
+        """Hold all frames in memory: an analysis looks at each several times. `clean` are the frames before any
+        disturbance (T, R, C), where they are there already."""
+        if clean is None:
+            frames = self.array()
+        else:
+            noise, count = self.rendered.noise, len(self.rendered)
+            frames = np.stack([noise.quantise(noise.disturb(clean[t], t, count)) for t in range(count)])
+        return replace(self, movie=replace(self.movie, frames=frames))
+
 
 def render_movie(texture: Texture, motion: Motion, mask: Bools, *, moving: Bools | None = None,
                  ground: Ground = "still", band_px: float = 24.0, stage: Motion | None = None,

@@ -137,8 +137,7 @@ def run_batch(cases: Sequence[Case], config: Config, folder: Path, keys: Mapping
         synthetic = case.make()
         if len(cases) > 1 and clean is None:
             clean = np.stack([synthetic.rendered.perfect(t).astype(np.float32) for t in range(synthetic.movie.count)])
-        shown = draw(synthetic, clean)
-        yield run_case(case, config, folder, shown, keys[case.name], time.process_time() - start)
+        yield run_case(case, config, folder, synthetic.drawn(clean), keys[case.name], time.process_time() - start)
 
 
 def run_case(case: Case, config: Config, folder: Path, shown: SyntheticMovie, key: str,
@@ -163,17 +162,6 @@ def status_of(analysis: Analysis, comparison: Comparison) -> str:
         return MEASURED
     why = next((f.message for f in analysis.findings if f.level == "fail"), "no beat where there is one")
     return f"no beats: {why}"
-
-
-def draw(synthetic: SyntheticMovie, clean: Floats | None = None) -> SyntheticMovie:
-    """Hold all frames in memory; `clean` are the perfect pictures (T, R, C), where they are there already."""
-    rendered, count = synthetic.rendered, synthetic.movie.count
-    if clean is None:
-        frames = synthetic.array()
-    else:
-        noise = rendered.noise
-        frames = np.stack([noise.quantise(noise.disturb(clean[t], t, count)) for t in range(count)])
-    return replace(synthetic, movie=replace(synthetic.movie, frames=frames))
 
 
 def row_key(case: Case, config: Config) -> str:
