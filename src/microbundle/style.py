@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .data import Floats
+from .fonts import figure_fonts
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -41,7 +42,7 @@ POINTS, SMALL_POINTS = 7.0, 6.0
 DPI = 300
 
 _SETTINGS: dict[str, Any] = {
-    "font.family": "DejaVu Sans", "font.size": POINTS, "axes.titlesize": POINTS, "axes.labelsize": POINTS,
+    "font.size": POINTS, "axes.titlesize": POINTS, "axes.labelsize": POINTS,
     "legend.fontsize": SMALL_POINTS, "mathtext.fontset": "dejavusans", "axes.linewidth": 0.6, "lines.linewidth": 0.9,
     "axes.edgecolor": INK, "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK,
     "legend.frameon": False, "pdf.fonttype": 42, "svg.fonttype": "none", "savefig.dpi": DPI, "figure.dpi": 100,
@@ -53,7 +54,7 @@ def settings() -> AbstractContextManager[None]:
     """matplotlib's settings while a figure is made, and while it is written."""
     from matplotlib import rc_context
 
-    return rc_context(_SETTINGS)  # type: ignore[arg-type]
+    return rc_context(_SETTINGS | {"font.family": figure_fonts()})  # type: ignore[arg-type]
 
 
 def blank(width_mm: float, height_mm: float) -> Figure:
