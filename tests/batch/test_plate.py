@@ -85,7 +85,7 @@ def test_a_plate_that_is_too_small_is_refused_before_anything_runs(
 
 @pytest.mark.skipif(not BENCHMARK.exists() or not Path("/proc/self/stat").exists(), reason="needs the benchmark, /proc")
 def test_a_plate_with_planted_faults_is_reported_as_planted_and_survives_being_killed(tmp_path: Path) -> None:
-    line = [sys.executable, str(BENCHMARK), "--wells", "8", "--kills", "2", "--method", "fast", "--seed", "1"]
+    line = [sys.executable, str(BENCHMARK), "--wells", "6", "--kills", "1", "--method", "fast", "--seed", "1"]
     done = subprocess.run(line, capture_output=True, text=True, check=False, cwd=tmp_path, env=os.environ)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "NO" not in done.stdout
