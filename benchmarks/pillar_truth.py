@@ -19,7 +19,8 @@ import numpy as np
 
 from microbundle import Analysis, Config, analyze, tables
 from microbundle.data import Floats, PillarMotion, Strain
-from microbundle.force import forces, loop_areas, pillar_values
+from microbundle.force import forces, loop_areas
+from microbundle.levels import level_values
 from microbundle.strain import fit_gradient
 from microbundle.synth.cases import Case, camera, case_set, perlin
 from microbundle.synth.noise import NoiseModel
@@ -77,7 +78,7 @@ def line(name: str, synthetic: SyntheticMovie, masks: str) -> str:
         return f"| {name} | {masks} | no pillars | | | |"
     whole = analysis.beats.complete
     truth = replace(analysis, pillars=true_motion(synthetic, analysis))
-    found, true = (pillar_values(a)["deflection"][whole] for a in (analysis, truth))
+    found, true = (level_values(a, nulls=False)["pillar"]["deflection"][whole] for a in (analysis, truth))
     table = tables(analysis)["pillars"].query("complete")
     error = np.asarray(table["deflection_se_px"]).reshape(found.shape)
     held = float((np.abs(found - true) < T_95 * error).mean())

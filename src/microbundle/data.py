@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -409,7 +410,7 @@ class Strain:
         _expect("F", self.F, (None, s, 2, 2))
         _expect("count", self.count, (s,))
 
-    @property
+    @cached_property
     def E(self) -> Floats:
         """Green-Lagrange strain (F'F - I)/2, (T, S, 2, 2)."""
         return 0.5 * (np.swapaxes(self.F, -1, -2) @ self.F - np.eye(2))

@@ -22,7 +22,7 @@ from .config import PillarParams
 from .contraction import rest_path
 from .data import Bools, Floats, TissueAxis
 from .dictionary import Level
-from .numbers import clock, duty, end_distance, shapes_of
+from .numbers import Shape, clock, duty, end_distance
 
 KPA = 1e3
 """kPa in a uN/um2 (a MPa)."""
@@ -100,14 +100,13 @@ def _inward(centers: Floats, axis: TissueAxis) -> Floats:
     return np.asarray(np.where(side == 0, 1.0, side)[:, None] * axis.direction)
 
 
-def pillar_values(analysis: Analysis) -> dict[str, Floats]:
-    """Compute the metrics of each pillar in each beat: name -> (B, P)."""
-    found = forces(analysis)
+def pillar_values(analysis: Analysis, found: Forces, measured: Shape) -> dict[str, Floats]:
+    """Compute the metrics of each pillar in each beat from the `forces` and the shape of `Forces.along_px`: name ->
+    (B, P)."""
     motion = analysis.pillars
-    if found is None or motion is None:
+    if motion is None:
         return {}
-    shape = shapes_of(analysis, found.along_px, "pillar")
-    shape |= duty(shape, "pillar")
+    shape = measured | duty(measured, "pillar")
     scaled = ("amplitude", "contraction_velocity", "relaxation_velocity", "mean_contraction_velocity", "area")
     deflection = shape["force_amplitude"].copy()
     for name in scaled:
@@ -148,12 +147,8 @@ def pillar_series(analysis: Analysis) -> dict[str, Floats]:
             "pillar_rotation": motion.rotation_deg}
 
 
-def tissue_force_values(analysis: Analysis, pillars: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Compute the metrics of each beat that need the tissue and the `pillar_values`: name -> (B,); empty without
-    pillars."""
-    found = forces(analysis)
-    if found is None:
-        return {}
+def tissue_force_values(analysis: Analysis, found: Forces, pillars: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Compute the metrics of each beat that need the tissue, the `forces` and the `pillar_values`: name -> (B,)."""
     each = pillars["force_amplitude"]
     mean = each.mean(axis=1)
     out = {"twitch_force": mean}

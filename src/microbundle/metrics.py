@@ -15,19 +15,17 @@ from .analysis import Analysis
 from .data import Bools, Floats
 from .dictionary import BY_KEY, Level, columns
 from .draws import COUNT as DRAWS
-from .force import budget, pillar_series, pillar_values, tissue_force_values
+from .force import budget, pillar_series
+from .levels import level_values
 from .numbers import (
     baseline_drift,
     beat_signal,
-    beat_values,
     clock,
     drift_px,
     front_values,
     rhythm_values,
     seconds_per_frame,
     shortening,
-    shortening_values,
-    subdomain_values,
 )
 from .propagation import speed
 from .uncertainty import added_by_noise, standard_errors
@@ -58,7 +56,7 @@ def tables(analysis: Analysis) -> dict[str, pd.DataFrame]:
     errors = standard_errors(analysis, _with_errors)
     signals = np.stack([beat_signal(analysis), analysis.beats.signal_px])
     added = added_by_noise(analysis, lambda a: np.stack([beat_signal(a), a.beats.signal_px]))
-    values = _levels(analysis, signals[0] - added[0])
+    values = level_values(analysis, signals[0] - added[0])
     return {
         "summary": _summary(analysis, values, errors),
         "subdomain_summary": _summary_of_parts(analysis, "subdomain", values["subdomain"], errors),
@@ -74,16 +72,9 @@ def tables(analysis: Analysis) -> dict[str, pd.DataFrame]:
     }
 
 
-def _levels(analysis: Analysis, signal: Floats, *, nulls: bool = True) -> dict[Level, dict[str, Floats]]:
-    """The numbers of all levels that have beats, from the signal of `beat_signal`."""
-    pillars = pillar_values(analysis)
-    return {"beat": beat_values(analysis, signal, nulls=nulls) | tissue_force_values(analysis, pillars),
-            "shortening": shortening_values(analysis), "subdomain": subdomain_values(analysis), "pillar": pillars}
-
-
 def _with_errors(analysis: Analysis) -> dict[str, Floats]:
     """All numbers that have a standard error, by level and name; means over the whole beats besides."""
-    levels = _levels(analysis, beat_signal(analysis), nulls=False)
+    levels = level_values(analysis, nulls=False)
     out = {f"{level}.{name}": values for level, found in levels.items() for name, values in found.items()}
     whole = analysis.beats.complete
     out |= {f"mean.{name}": _mean_of_known(values[whole]) for level in OVER_BEATS

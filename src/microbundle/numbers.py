@@ -6,11 +6,13 @@ standard errors (see `uncertainty`). Names are those of the dictionary of metric
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from .analysis import Analysis
 from .contraction import mean_absolute
-from .data import Floats, Ints, Strain, known
+from .data import Beats, Floats, Ints, Strain, known
 from .dictionary import PREFIX, Level
 from .geometry import to_tissue
 from .propagation import delays, front
@@ -84,18 +86,27 @@ def shortening(analysis: Analysis) -> Floats:
     return np.asarray(1 - distance / at_rest)
 
 
-def shapes_of(analysis: Analysis, signal: Floats, level: Level = "beat") -> dict[str, Floats]:
-    """Measure the beats of signals (T, n) by `waveform.beat_shapes`: names of a level of the dictionary -> (B, n)."""
+Shape = dict[str, Floats]
+"""What `waveform.beat_shapes` measures of the signals of a level, under the names of the dictionary: (B, n)."""
+
+
+def shapes_of(analysis: Analysis, signals: Mapping[Level, Floats]) -> dict[Level, Shape]:
+    """Measure the beats of the signals (T, n) of some levels; all at once, which takes little more time than one."""
     params, step = analysis.config.metrics, seconds_per_frame(analysis)
     window = 1.0 if step is None else params.velocity_s / step
-    found = beat_shapes(signal, clock(analysis), analysis.beats, levels=params.levels_pct, velocity_window=window)
-    return {PREFIX.get(level, "") + name: values for name, values in found.items()}
+    found = beat_shapes(np.concatenate(list(signals.values()), axis=1), clock(analysis), analysis.beats,
+                        levels=params.levels_pct, velocity_window=window)
+    ends = np.cumsum([signal.shape[1] for signal in signals.values()])
+    parts = {level: slice(end - signal.shape[1], end)
+             for end, (level, signal) in zip(ends, signals.items(), strict=True)}
+    return {level: {PREFIX.get(level, "") + name: values[:, part] for name, values in found.items()}
+            for level, part in parts.items()}
 
 
-def beat_values(analysis: Analysis, signal: Floats, *, nulls: bool = True) -> dict[str, Floats]:
-    """Compute the metrics of each beat from the signal (T,) of `beat_signal`: name -> (B,). Without `nulls` those that
-    chance alone would give are left out."""
-    shape = {name: values[:, 0] for name, values in shapes_of(analysis, signal[:, None]).items()}
+def beat_values(analysis: Analysis, measured: Shape, *, nulls: bool = True) -> dict[str, Floats]:
+    """Compute the metrics of each beat from the shape of `beat_signal`: name -> (B,). Without `nulls` those that chance
+    alone would give are left out."""
+    shape = {name: values[:, 0] for name, values in measured.items()}
     period = periods(shape["peak_time"])
     drift = analysis.beats.drift_px
     out = {"beat_period": period, "beat_rate": 1 / period, **shape, "duty": shape["cd50"] / period
@@ -108,10 +119,9 @@ def periods(peak_time: Floats) -> Floats:
     return np.append(np.diff(peak_time), np.nan) if len(peak_time) else np.zeros(0)
 
 
-def shortening_values(analysis: Analysis) -> dict[str, Floats]:
-    """Compute the metrics of each beat's shortening: name -> (B,)."""
-    found = shapes_of(analysis, shortening(analysis)[:, None], "shortening")
-    out = {name: values[:, 0] for name, values in found.items()}
+def shortening_values(measured: Shape) -> dict[str, Floats]:
+    """Compute the metrics of each beat from the shape of `shortening`: name -> (B,)."""
+    out = {name: values[:, 0] for name, values in measured.items()}
     return out | duty(out, "shortening")
 
 
@@ -191,24 +201,38 @@ def _correlation(traces: Floats) -> Floats:
                                 where=size > 0).mean(axis=-1))
 
 
-def subdomain_values(analysis: Analysis) -> dict[str, Floats]:
-    """Compute the metrics of each sub-domain in each beat: name -> (B, S)."""
-    strain, beats = analysis.strain, analysis.beats
-    if strain is None:
-        return {}
-    peak = beats.peak
-    F, E, J = strain.F[peak], strain.E[peak], strain.J[peak]
-    principal, angle = (a[peak] for a in strain.principal)
+def subdomain_signal(analysis: Analysis) -> Floats:
+    """E_cc (T, S) of each sub-domain, positive where it is as in most beats: one contracts, another is stretched."""
+    if analysis.strain is None:
+        return np.zeros((analysis.frame_count, 0))
+    return np.asarray(_sign(_extreme(analysis.strain, analysis.beats)) * analysis.strain.E[..., 1, 1])
+
+
+def _extreme(strain: Strain, beats: Beats) -> Floats:
+    """E_cc (B, S) of each sub-domain where it is largest, of either sign, in each beat."""
     E_cc = strain.E[..., 1, 1]
     extreme = np.full((len(beats), len(strain.label)), np.nan)
     for b, (start, stop) in enumerate(zip(beats.start, beats.stop, strict=True)):
         size = np.abs(E_cc[start:stop])
         at = start + np.argmax(np.where(np.isfinite(size), size, -1.0), axis=0)
         extreme[b] = np.where(np.isfinite(size).any(axis=0), E_cc[at, np.arange(len(at))], np.nan)
-    # A sub-domain contracts or is stretched; as a beat it is measured with the sign that it has in most beats.
-    sign = np.where(np.nan_to_num(extreme).sum(axis=0) > 0, 1.0, -1.0)
-    shape = shapes_of(analysis, sign * E_cc, "subdomain")
-    shape |= duty(shape, "subdomain")
+    return extreme
+
+
+def _sign(extreme: Floats) -> Floats:
+    return np.where(np.nan_to_num(extreme).sum(axis=0) > 0, 1.0, -1.0)
+
+
+def subdomain_values(analysis: Analysis, measured: Shape) -> dict[str, Floats]:
+    """Compute the metrics of each sub-domain in each beat from the shape of `subdomain_signal`: name -> (B, S)."""
+    strain, peak = analysis.strain, analysis.beats.peak
+    if strain is None:
+        return {}
+    F, E, J = strain.F[peak], strain.E[peak], strain.J[peak]
+    principal, angle = (a[peak] for a in strain.principal)
+    extreme = _extreme(strain, analysis.beats)
+    sign = _sign(extreme)
+    shape = measured | duty(measured, "subdomain")
     for name in ("amplitude", "contraction_velocity", "relaxation_velocity", "mean_contraction_velocity", "area"):
         shape[f"E_cc_{name}"] = shape[f"E_cc_{name}"] * sign
     parts = {"rr": (0, 0), "rc": (0, 1), "cr": (1, 0), "cc": (1, 1)}

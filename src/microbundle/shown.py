@@ -15,8 +15,9 @@ from .analysis import Analysis
 from .data import Bools, Floats, Ints
 from .errors import ConfigError
 from .force import forces
+from .levels import level_values
 from .motion import Motion
-from .numbers import beat_signal, clock, end_distance, seconds_per_frame, shapes_of, subdomain_values
+from .numbers import beat_signal, clock, end_distance, seconds_per_frame, shapes_of
 from .uncertainty import standard_errors
 
 MARGIN = 0.06
@@ -124,7 +125,8 @@ class Shown:
     def half_rise(self) -> Floats:
         """Time (B,) at which each beat passes half of its rise, in the unit of time; where it is not known, the time of
         its peak frame."""
-        found = shapes_of(self.analysis, beat_signal(self.analysis)[:, None])["half_rise_time"][:, 0]
+        signal = beat_signal(self.analysis)[:, None]
+        found = shapes_of(self.analysis, {"beat": signal})["beat"]["half_rise_time"][:, 0]
         return np.where(np.isfinite(found), self.times(found), self.time[self.analysis.beats.peak])
 
     def frames_of(self, beat: int) -> slice:
@@ -156,7 +158,8 @@ class Shown:
     @cached_property
     def delay(self) -> Floats:
         """Delay (S,) of each sub-domain, in the unit of time; NaN where it has none."""
-        return self.times(mean_of_known(subdomain_values(self.analysis)["delay"][self.beats]))
+        values = level_values(self.analysis, nulls=False)["subdomain"]
+        return self.times(mean_of_known(values["delay"][self.beats]))
 
     @cached_property
     def pillar_path(self) -> Floats:

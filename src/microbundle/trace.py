@@ -167,7 +167,7 @@ def trace_delays(trace: Trace, analysis: Analysis) -> dict[str, Floats]:
     if analysis.time_s is None:
         raise CannotMeasure(f"{analysis.name}: expected known frame times to compare with a trace; give --fps")
     own, _ = trace_values(trace)
-    follows = shapes_of(analysis, beat_signal(analysis)[:, None])
+    follows = shapes_of(analysis, {"beat": beat_signal(analysis)[:, None]})["beat"]
     step = float(np.median(np.diff(trace.time_s)))
     frame = float(np.median(np.diff(analysis.time_s)))
     reach = LATEST_SHARE * float(np.nanmedian(own["trace_period"])) * step if len(trace.beats) > 1 else np.inf

@@ -15,8 +15,8 @@ from scipy.special import stdtrit
 from ..analysis import Analysis
 from ..data import Floats
 from ..draws import COUNT
+from ..levels import level_values
 from ..metrics import tables
-from ..numbers import beat_signal, beat_values
 from ..uncertainty import displacement_error_at, standard_errors
 from .render import SyntheticMovie
 from .scores import Comparison, analysis_rest, true_displacement, true_rest
@@ -55,7 +55,7 @@ def _strain(analysis: Analysis) -> Floats:
 def _of_beats(synthetic: SyntheticMovie, analysis: Analysis, c: Comparison) -> dict[str, Floats]:
     """Errors of amplitude and period over their standard errors, for the matched beats."""
     true = _perfect(synthetic, analysis, c)
-    values = beat_values(true, beat_signal(true), nulls=False)
+    values = level_values(true, nulls=False)["beat"]
     found = tables(replace(analysis, um_per_px=None, time_s=None))["beats"]
     out = {}
     for name, key, unit in (("amplitude", "amplitude", "px"), ("period", "beat_period", "frames")):
