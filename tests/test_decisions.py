@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from microbundle.decide import decide, keep_mask
 from microbundle.decisions import Decisions, decisions_hash, read_decisions, sidecar_of, write_decisions
 from microbundle.errors import ConfigError, MaskUnusable, OutputError
 from microbundle.pipeline import analyze
+from microbundle.store import load
 
 Image = NDArray[Any]
 FAST = Config.from_dict({"method": "fast", "strain": {"tile_px": 20}})
@@ -261,6 +263,45 @@ def test_a_movie_with_decisions_is_measured_again_in_a_batch(tissue_array: Image
     assert (first.unchanged, again.unchanged) == (0, 1)
     assert [status.beats for status in again.statuses.values()] == [2, 3]
     assert run_batch(plan, tmp_path / "out", workers=1).unchanged == 2
+
+
+def test_a_verdict_is_written_without_measuring_again(tissue_array: Image, tmp_path: Path) -> None:
+    from microbundle.batch.plan import make_plan
+    from microbundle.batch.work import job_of, measure
+
+    (tmp_path / "plate").mkdir()
+    movie = tmp_path / "plate" / "A1.tif"
+    tifffile.imwrite(movie, tissue_array[:, 20:108])
+    out = tmp_path / "out"
+    for folder in ("results", "status"):
+        (out / folder).mkdir(parents=True)
+    result = out / "results" / "A1.tif"
+
+    def again() -> tuple[str, list[str]]:
+        """Verdict, and the stages of a measurement that were heard of."""
+        plan = make_plan(tmp_path / "plate", config=Config(fps=30))
+        heard: list[str] = []
+        status = measure(job_of(plan.tasks[0], out, plan, 1), lambda event: heard.append(event.stage))
+        assert status.state == "done"
+        return status.verdict, heard
+
+    first, heard = again()
+    assert "tracking" in heard
+    before = {file.name: file.read_bytes() for file in result.glob("*.csv")}
+    decide(result, accept=False, why="blurred")
+    assert (first, again()) == ("pass", ("fail", []))
+    assert {file.name: file.read_bytes() for file in result.glob("*.csv")} == before
+    assert "blurred" in (result / "report.html").read_text("utf-8")
+    assert load(result).verdict == "fail"
+    decide(result, drop_beats=[34])  # changes numbers
+    assert "tracking" in again()[1]
+    decide(result, accept=True)
+    assert again() == ("pass", [])
+    os.utime(movie, (1, 1))
+    assert "tracking" in again()[1]
+    (result / "result.nc").write_bytes(b"damaged")
+    decide(result, accept=False)
+    assert "tracking" in again()[1]
 
 
 def test_a_note_measures_nothing_again(tmp_path: Path) -> None:

@@ -28,6 +28,8 @@ from .folder import write_file
 SUFFIX = ".decisions.json"
 MARK = '"microbundle_decisions"'
 """Text near the start of every such file, by which one that we wrote is known."""
+MEASURED_KINDS, SAID_KINDS = ("drop_beat", "mark_beat", "use_mask", "settings"), ("verdict",)
+"""Decisions that change what is measured, and those on numbers that are there."""
 LARGEST_BYTES = 4_000_000
 """A larger file is no list of decisions."""
 
@@ -223,8 +225,9 @@ def write_decisions(result: Path | str, decisions: Decisions) -> Path:
 
 
 def decisions_hash(result: Path | str) -> str:
-    """Hash what changes the numbers of a rerun: the decisions beside a folder of results, but for notes, and the masks
-    that they name; the empty string where there are none."""
+    """Hash what a rerun would make another result of: the decisions beside a folder of results, but for notes, and the
+    masks that they name; the empty string where there are none. Before its dot stands what would be measured otherwise
+    (see `same_measurement`), after it what a person said of the numbers."""
     file = sidecar_of(result)
     if not file.exists():
         return ""
@@ -232,8 +235,9 @@ def decisions_hash(result: Path | str) -> str:
         decided = read_decisions(result)
     except ConfigError as error:  # measuring again will say so
         return hashlib.sha256(str(error).encode()).hexdigest()
-    counted = [one for one in decided.as_list() if one["kind"] != "note"]
-    if not counted:
+    listed = decided.as_list()
+    counted, said = ([one for one in listed if one["kind"] in kinds] for kinds in (MEASURED_KINDS, SAID_KINDS))
+    if not counted and not said:
         return ""
     total = hashlib.sha256(json.dumps(counted, sort_keys=True).encode())
     for name, mask in sorted(decided.masks.items()):
@@ -242,4 +246,10 @@ def decisions_hash(result: Path | str) -> str:
             total.update(f"{name}\0{about.st_size}\0{about.st_mtime_ns}".encode())
         except OSError:
             total.update(f"{name}\0missing".encode())
-    return total.hexdigest()
+    word = hashlib.sha256(json.dumps(said, sort_keys=True).encode())
+    return f"{total.hexdigest() if counted else ''}.{word.hexdigest() if said else ''}"
+
+
+def same_measurement(one: str, other: str) -> bool:
+    """Tell whether two hashes of decisions differ at most in what a person said of the numbers."""
+    return one.partition(".")[0] == other.partition(".")[0]

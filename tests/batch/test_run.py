@@ -91,6 +91,7 @@ def test_an_index_leads_to_each_report(ran: tuple[Outcome, list[BatchEvent]]) ->
     page = (ran[0].out / "index.html").read_text(encoding="utf-8")
     assert 'href="results/A2/report.html"' in page
     assert 'href="results/B1.tif/report.html"' not in page
+    assert 'Tables: <a href="movies.csv">movies.csv</a>, <a href="plate.csv">plate.csv</a></p>' in page
     assert "MovieUnreadable: " in page
     assert "6 movies: 0 pass, 2 review, 1 fail, 3 without a result." in page
     folder = ran[0].out / "results" / "A2"

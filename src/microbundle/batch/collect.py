@@ -221,7 +221,9 @@ def _index(out: Path, plan: Plan, statuses: Mapping[str, Status], plates: Sequen
             status, columns = statuses[task.movie], {name: task.columns.get(name, "") for name in known}
             listed.append(read_overview(out / RESULTS / task.key, columns) if status.state == "done" else
                           NoResult(task.movie, status.kind, status.message, columns))
-        write_index(listed, page, title=plan.source.resolve().stem, plates=plates, metrics=metrics, overwrite=True)
+        tables = [out / MOVIES, out / PLATE, *sorted((out / COMPARISON).glob("*.csv"))]
+        write_index(listed, page, title=plan.source.resolve().stem, plates=plates, metrics=metrics, files=tables,
+                    overwrite=True)
     files.append(page)
 
 

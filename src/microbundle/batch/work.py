@@ -18,13 +18,17 @@ from dataclasses import dataclass, replace
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ..decisions import decisions_hash
-from ..errors import MicrobundleError, OutputError
+from ..decisions import Decisions, decisions_hash, read_decisions, same_measurement
+from ..errors import MicrobundleError, OutputError, ResultUnreadable
 from ..events import Drawn, Progress, Progressed, Tell
 from .pictures import LimitsJob, PicturesJob, place
 from .plan import Plan, Task, fingerprint
-from .state import RESULTS, Status, write_status
+from .state import RESULTS, Status, read_status, write_status
+
+if TYPE_CHECKING:
+    from ..analysis import Analysis
 
 BETWEEN_EVENTS_S = 0.25
 """Progress within a movie is told no more often than this."""
@@ -114,7 +118,7 @@ def measure(job: Job, tell: Tell) -> Status:
     status = Status(task.movie, "failed", fingerprint(task.path), task.settings, job.version,
                     decisions_hash(result_of(job)))
     try:
-        verdict, beats = _measured(job, tell)
+        verdict, beats = _measured(job, status, tell)
         status = replace(status, state="done", verdict=verdict, beats=beats)
     except MicrobundleError as error:
         status = replace(status, kind=type(error).__name__, message=str(error),
@@ -136,25 +140,15 @@ def measure(job: Job, tell: Tell) -> Status:
     return status
 
 
-def _measured(job: Job, tell: Tell) -> tuple[str, int]:
-    from ..config import Config, merge
-    from ..decisions import read_decisions
+def _measured(job: Job, status: Status, tell: Tell) -> tuple[str, int]:
     from ..metrics import tables
-    from ..pipeline import analyze
-    from ..read import read_movie
     from ..report import NAME, write_report
     from ..store import save
     from .limits import write_limits
     from .overview import write_overview
 
     decided = read_decisions(result_of(job))
-    config = decided.over(job.task.config)
-    if config.registration.threads is None:
-        config = Config.from_dict(merge(config.model_dump(exclude_unset=True),
-                                        {"registration": {"threads": job.threads}}))
-    part = config.reading
-    opened = read_movie(job.task.path, series=part.series, channel=part.channel, z=part.z)
-    analysis = analyze(replace(opened, name=job.task.movie), config, decisions=decided, tell=tell)
+    analysis = _kept(job, status, decided) or _analyzed(job, decided, tell)
     made = tables(analysis)
 
     def beside(folder: Path) -> None:
@@ -166,6 +160,33 @@ def _measured(job: Job, tell: Tell) -> tuple[str, int]:
 
     save(analysis, result_of(job), overwrite=True, made=made, extra=beside)
     return analysis.verdict, int(analysis.beats.complete.sum())
+
+
+def _analyzed(job: Job, decided: Decisions, tell: Tell) -> Analysis:
+    from ..config import Config, merge
+    from ..pipeline import analyze
+    from ..read import read_movie
+
+    config = decided.over(job.task.config)
+    if config.registration.threads is None:
+        config = Config.from_dict(merge(config.model_dump(exclude_unset=True),
+                                        {"registration": {"threads": job.threads}}))
+    part = config.reading
+    opened = read_movie(job.task.path, series=part.series, channel=part.channel, z=part.z)
+    return analyze(replace(opened, name=job.task.movie), config, decisions=decided, tell=tell)
+
+
+def _kept(job: Job, status: Status, decided: Decisions) -> Analysis | None:
+    """The result that is there, where since then a person has only accepted or rejected it: that measures nothing."""
+    from ..store import load
+
+    before = read_status(job.out, job.task)
+    if before is None or before.state != "done" or not same_measurement(before.decisions, status.decisions) or any(
+            getattr(before, name) != getattr(status, name) for name in ("movie", "input", "settings", "version")):
+        return None
+    with suppress(ResultUnreadable):
+        return replace(load(result_of(job)), decisions=decided)
+    return None
 
 
 def _telling(pipe: Connection, movie: str) -> Tell:

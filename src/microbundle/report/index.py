@@ -78,13 +78,14 @@ def summarize(analysis: Analysis, summary: pd.DataFrame, report: Path | None = N
 
 
 def write_index(reports: Iterable[Summary | NoResult | Path | str], path: Path | str, *, title: str = "Movies",
-                plates: Sequence[Plate] = (), metrics: Sequence[str] = (), overwrite: bool = False) -> Path:
+                plates: Sequence[Plate] = (), metrics: Sequence[str] = (), files: Sequence[Path] = (),
+                overwrite: bool = False) -> Path:
     """Write an index page over many results, given as summaries or as result folders.
 
-    Links are relative to the page, so that a folder with all of them can be moved; those of `plates`, of which the page
-    shows maps of the `metrics` (names of columns), already are. Beyond 200 movies there are no pictures. Returns the
-    page's path. Raises ConfigError for no results, ResultUnreadable for a folder that is not one, OutputError where the
-    page cannot be written.
+    It leads to each report, and to further `files`. Links are relative to the page, so that a folder with all of
+    them can be moved; those of `plates`, of which the page shows maps of the `metrics` (names of columns), already
+    are. Beyond 200 movies there are no pictures. Returns the page's path. Raises ConfigError for no results,
+    ResultUnreadable for a folder that is not one, OutputError where the page cannot be written.
     """
     path = Path(path).expanduser()
     listed = [one if isinstance(one, Summary | NoResult) else summary_of_folder(Path(one)) for one in reports]
@@ -103,7 +104,7 @@ def write_index(reports: Iterable[Summary | NoResult | Path | str], path: Path |
         counts.append(f"{len(listed) - len(done)} without a result")
     what = f"{len(listed)} movie{'s' if len(listed) > 1 else ''}: {', '.join(counts)}."
     page = make_page("index.html", STYLES, SCRIPTS, plate_data(plates, metrics), {
-        "title": title, "version": _version(), "what": what, "head": head, "body": body,
+        "title": title, "version": _version(), "what": what, "head": head, "body": body, "files": _links(files, home),
         "plates": plate_section(plates, metrics)})
     return write_file(path, page, mark=MARK, overwrite=overwrite)
 
@@ -140,8 +141,7 @@ def _row(one: Summary, known: Sequence[str], numbers: Iterable[str], home: Path,
     picture = Html(f'<img src="{one.picture}" alt="" width="180" loading="lazy">') if pictures else ""
     name: Html | str = one.name
     if one.report is not None:
-        link = quote(Path(os.path.relpath(one.report.resolve(), home)).as_posix())
-        name = tag("a", one.name, href=link)
+        name = tag("a", one.name, href=_way(one.report, home))
     cells = [tag("th", joined([picture, name]), scope="row", data_value=one.name), *_known(one.columns, known),
              _verdict(one.verdict, VERDICTS[one.verdict][0], one.findings),
              tag("td", str(one.beats), data_value=one.beats)]
@@ -149,6 +149,19 @@ def _row(one: Summary, known: Sequence[str], numbers: Iterable[str], home: Path,
         value = one.metrics.get(column, np.nan)
         cells.append(tag("td", number(value), data_value=f"{value:.7g}" if np.isfinite(value) else None))
     return tag("tr", joined(cells))
+
+
+def _links(files: Sequence[Path], home: Path) -> Html:
+    """A line that leads to files; nothing where there are none."""
+    if not files:
+        return Html("")
+    links = (tag("a", Path(os.path.relpath(file.resolve(), home)).as_posix(), href=_way(file, home)) for file in files)
+    return tag("p", joined(["Tables: ", joined(links, ", ")]))
+
+
+def _way(file: Path, home: Path) -> str:
+    """Address of a file, as it is from a page in a folder."""
+    return quote(Path(os.path.relpath(file.resolve(), home)).as_posix())
 
 
 def _row_without(one: NoResult, known: Sequence[str], numbers: int) -> Html:
