@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from . import figures, movies
     from .analysis import Analysis
+    from .bodies import follow_body
     from .compat import compat_columns
     from .config import Config
     from .data import Movie

@@ -83,6 +83,7 @@ def test_what_a_terminal_measured_opens(visit: Visit, app: App, run: str) -> Non
         page.get_by_role("tab", name="Result").click()
         expect(page.frame_locator("iframe").locator("h1")).to_contain_text("P1_A1")
         page.goto(here)
+        expect(page.locator("#files a", has_text="movies.csv")).to_be_visible()
         page.on("dialog", lambda dialog: dialog.accept())
         page.get_by_role("button", name="Take off the list").click()
         page.wait_for_url(lambda url: "/run/" not in url)

@@ -61,7 +61,10 @@ export function follow(path, event, heard, lost) {
     last = message.data;
     heard(JSON.parse(message.data));
   });
-  source.addEventListener("gone", () => location.assign("/"));
+  source.addEventListener("gone", () => {
+    source.close(); // or it would ask again, for what is no more
+    location.assign("/");
+  });
   source.addEventListener("open", () => lost(null));
   source.addEventListener("error", () => lost(SILENT));
   addEventListener("pagehide", () => source.close());
