@@ -6,7 +6,8 @@ A real server in a process of its own, asked as a browser does, over files that 
 may hold them in memory). The movies are a rendered tissue of 128 x 192 px that beats on and on: one TIFF file, a folder
 of single TIFFs, an MP4. `open` is from the click on the movie to its first frame on the screen; `jump` is a frame
 anywhere in the movie, `next` the following frame, both at 640 px. `edited` is a mask drawn by hand, on frames of
-1024 x 1536 px. The plate's results are copies of one. Times are wall-clock, in ms: median and 95th percentile.
+1024 x 1536 px. The plate's results are copies of one; with Playwright and a Chromium its page is timed in the browser
+too, from the call to the last row, or well, that is there. Times are wall-clock, in ms: median and 95th percentile.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Page:
                                          str(home / "workspace"), "--no-browser", "--port", "0"],
                                         stdout=subprocess.PIPE, text=True)
         address = self.process.stdout.readline().split(": ", 1)[1].strip()
-        self.base = address.partition("/?")[0]
+        self.address, self.base = address, address.partition("/?")[0]
         self.opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor(CookieJar()))
         for _ in range(100):
             try:
@@ -183,7 +184,37 @@ def large_plate(home: Path, wells: int) -> None:
     told(f"page of {wells} wells: first time", [page.timed(f"/run/{run}") + page.timed(f"/api/runs/{run}")
                                                 + page.timed(f"/api/runs/{run}/plate")])
     told(f"page of {wells} wells: again", [page.timed(f"/api/runs/{run}") for _ in range(10)])
+    in_browser(page, run, wells)
     page.stop()
+
+
+def in_browser(page: Page, run: str, wells: int) -> None:
+    """From the click on the run to the plate with all its wells on the screen, and from table to plate."""
+    try:
+        from playwright.sync_api import Error, sync_playwright
+    except ImportError:
+        print("| in the browser: Playwright is not installed | | |")
+        return
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    with sync_playwright() as playwright:
+        try:
+            browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
+        except Error:
+            print("| in the browser: no Chromium is there | | |")
+            return
+        tab = browser.new_page()
+        tab.goto(page.address)
+        times: dict[str, list[float]] = {"table": [], "plate": []}
+        for _ in range(8):
+            for name, path, each in (("table", "", "#table tbody tr"), ("plate", "#plate", "#plate a")):
+                tab.goto("about:blank")
+                start = time.perf_counter()
+                tab.goto(f"{page.base}/run/{run}{path}", wait_until="commit")
+                tab.locator(each).nth(wells - 1).wait_for()
+                times[name].append(1000 * (time.perf_counter() - start))
+        for name, found in times.items():
+            told(f"page of {wells} wells in the browser: {name}", found)
+        browser.close()
 
 
 def main() -> None:

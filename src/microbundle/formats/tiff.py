@@ -94,8 +94,8 @@ class _Handle:
     def files(self, number: int) -> tuple[Path, ...]:
         series = self.series[number]
         pages = [] if series.is_truncated else [p for p in series.pages if p is not None]
-        names = {Path(page.parent.filehandle.path): None for page in pages} or {Path(self.tiff.filehandle.path): None}
-        return tuple(names)
+        names = dict.fromkeys(page.parent.filehandle.path for page in pages) or [self.tiff.filehandle.path]
+        return tuple(Path(name) for name in names)
 
 
 class TiffFrames(FileFrames):

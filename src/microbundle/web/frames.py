@@ -8,18 +8,21 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import cv2
 import numpy as np
 
-from ..config import Config
+from ..config import Config, Reading
 from ..data import Floats, Movie
 from ..formats.opened import stamp
 from ..read import calibrated, prepare, read_movie
 from .answers import Refused, not_there
+
+V = TypeVar("V")
 
 MOST_OPEN = 3
 """Movies that stay open; each keeps up to 64 MB of decoded frames."""
@@ -70,37 +73,62 @@ class Shown:
     """What tells its pictures from those of another movie, or of an older file."""
 
 
+class Kept(Generic[V]):
+    """The last few values that were made: each once, for all who ask for it at the same time."""
+
+    def __init__(self, most: int) -> None:
+        self.most, self._lock = most, threading.Lock()
+        self._values: OrderedDict[Hashable, V] = OrderedDict()
+        self._making: dict[Hashable, threading.Lock] = {}
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def get(self, key: Hashable, make: Callable[[], V]) -> V:
+        """Give the value of a key, which is made where it is not there."""
+        with self._lock:
+            one_at_a_time = self._making.setdefault(key, threading.Lock())
+        with one_at_a_time:
+            try:
+                found = self._values.get(key) or make()
+            except BaseException:
+                with self._lock:
+                    self._making.pop(key, None)
+                raise
+            with self._lock:
+                self._values[key] = found
+                self._values.move_to_end(key)
+                while len(self._values) > self.most:
+                    gone, _ = self._values.popitem(last=False)
+                    self._making.pop(gone, None)
+        return found
+
+
 class Movies:
     """The movies that are open, and their pictures. All methods may be called from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._opening: dict[str, threading.Lock] = {}
-        self._open: OrderedDict[str, Shown] = OrderedDict()
+        self._files: Kept[Movie] = Kept(MOST_OPEN)
+        self._open: Kept[Shown] = Kept(MOST_OPEN)
         self._grey: dict[tuple[Any, ...], Grey] = {}
         self._pictures: OrderedDict[tuple[Any, ...], bytes] = OrderedDict()
         self._bytes = 0
 
     def open(self, path: Path, config: Config) -> Shown:
         """Open a movie as the settings ask, or take it from those that are open. Raises MicrobundleError."""
-        key = f"{path}\0{config.reading.model_dump_json()}\0{config.fps}\0{config.um_per_px}"
-        with self._lock:
-            one_at_a_time = self._opening.setdefault(key, threading.Lock())
-        with one_at_a_time:
-            found = self._open.get(key)
-            now = stamp(path)
-            if found is None or found.key[1] != now:
-                part = config.reading
-                opened = read_movie(path, series=part.series, channel=part.channel, z=part.z)
-                whole = calibrated(opened, config.fps, config.um_per_px)
-                found = Shown(whole, prepare(whole, part), part.crop_px, (key, now))
-            with self._lock:
-                self._open[key] = found
-                self._open.move_to_end(key)
-                while len(self._open) > MOST_OPEN:
-                    gone, _ = self._open.popitem(last=False)
-                    self._opening.pop(gone, None)
-        return found
+        key = f"{path}\0{config.reading.model_dump_json()}\0{config.fps}\0{config.um_per_px}", stamp(path)
+
+        def shown() -> Shown:
+            whole = calibrated(self.read(path, config.reading), config.fps, config.um_per_px)
+            return Shown(whole, prepare(whole, config.reading), config.reading.crop_px, key)
+
+        return self._open.get(key, shown)
+
+    def read(self, path: Path, part: Reading) -> Movie:
+        """Read what a file says of its movie, before it is calibrated and cut. Raises MicrobundleError."""
+        key = path, part.series, part.channel, part.z, stamp(path)
+        return self._files.get(key, lambda: read_movie(path, series=part.series, channel=part.channel, z=part.z))
 
     def grey(self, shown: Shown) -> Grey:
         """Grey limits and histogram of a movie."""

@@ -6,7 +6,6 @@ import threading
 
 from ..batch.plan import Plan
 from ..errors import MicrobundleError
-from ..read import read_movie
 from .desk import Desk
 
 
@@ -39,10 +38,10 @@ def _find_out(desk: Desk, id: str, plan: Plan) -> None:
                 continue
             if desk.stopping or desk.runs.known_plan(id) is not plan:
                 return
-            part, where = task.config.reading, str(task.path)
+            where = str(task.path)
             try:
                 if where not in known:
-                    movie = read_movie(task.path, series=part.series, channel=part.channel, z=part.z)
+                    movie = desk.movies.read(task.path, task.config.reading)
                     known[where] = movie.time_s is not None, movie.um_per_px is not None
             except MicrobundleError:
                 continue

@@ -385,11 +385,14 @@ byId("zip").setAttribute("download", "");
 
 try {
   if (location.hash === "#plate") view(true);
-  heard(await get(ofRun(id)));
-  settings = new SettingsForm(byId("settings"), keeper);
-  await settings.start();
+  // The first event is the whole run; asking for it besides would take a large plate twice the time.
+  const first = new Promise((there) => {
+    follow(`${ofRun(id)}/events`, "run", (now) => there(heard(now)), connection);
+  });
+  const form = new SettingsForm(byId("settings"), keeper);
+  await Promise.all([form.start(), first]);
+  settings = form;
   settings.show(byId("ask").dataset.for.split(","));
-  follow(`${ofRun(id)}/events`, "run", heard, connection);
 } catch (error) {
   trouble(error);
 }
