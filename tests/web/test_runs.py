@@ -414,7 +414,8 @@ def test_folders_that_are_no_such_run_are_refused(open_app: Opened, written: Pat
     link.symlink_to(tmp_path / "secret")
     assert client.post("/api/open", json={"at": "lab/results"}).status_code == 403
     link.unlink()
-    for damage in ("", "[]", '{"source": "x", "settings": {"nothing": 1}}'):
+    for damage in ("", "[]", '{"source": 3}', '{"source": "x", "wells": "7"}',
+                   '{"source": "x", "settings": {"nothing": 1}}'):
         (written / "results" / "run.json").write_text(damage)
         answer = client.post("/api/open", json={"at": "lab/results"})
         assert (answer.status_code, answer.json()["error"]["kind"]) == (422, "ResultUnreadable")

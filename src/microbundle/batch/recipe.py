@@ -34,6 +34,9 @@ class Recipe:
     """Of microbundle."""
 
     def __post_init__(self) -> None:
+        if not (isinstance(self.source, str) and isinstance(self.pattern, str | None)
+                and isinstance(self.wells, int | None)):
+            raise TypeError("source, pattern or wells is of another kind")
         Config.from_dict(dict(self.settings), source="settings")
 
 
