@@ -31,6 +31,13 @@ let run = null,
   platesOf = "",
   filesOf = "";
 
+let unfollow = () => {};
+
+// Hears of the run until it is unfollowed; `then` is called each time.
+function listen(then = () => {}) {
+  unfollow = follow(`${ofRun(id)}/events`, "run", (now) => then(heard(now)), connection);
+}
+
 // --- what is heard -------------------------------------------------------------------------------------------------
 
 function heard(now) {
@@ -354,7 +361,13 @@ onClick(byId("clear"), async () => {
       ? "Its results are moved to the workspace’s folder trash."
       : "It has no results.";
   if (!confirm(`Take “${run.title}” off the list? ${words}`)) return;
-  await send("DELETE", ofRun(id));
+  unfollow(); // that it is gone is no news here, and would lead away from the page a second time
+  try {
+    await send("DELETE", ofRun(id));
+  } catch (error) {
+    listen();
+    throw error;
+  }
   location.assign("/");
 });
 onClick(byId("rename"), async () => {
@@ -386,9 +399,7 @@ byId("zip").setAttribute("download", "");
 try {
   if (location.hash === "#plate") view(true);
   // The first event is the whole run; asking for it besides would take a large plate twice the time.
-  const first = new Promise((there) => {
-    follow(`${ofRun(id)}/events`, "run", (now) => there(heard(now)), connection);
-  });
+  const first = new Promise(listen);
   const form = new SettingsForm(byId("settings"), keeper);
   await Promise.all([form.start(), first]);
   settings = form;
