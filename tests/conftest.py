@@ -100,11 +100,7 @@ def tissue_movie(tissue_array: Image) -> Movie:
 @pytest.fixture
 def tissue_folder(tissue_array: Image, tmp_path: Path) -> Path:
     """The small beating tissue as a folder `tissue` of single-frame TIFFs, without any calibration."""
-    folder = tmp_path / "tissue"
-    folder.mkdir()
-    for t, frame in enumerate(tissue_array):
-        tifffile.imwrite(folder / f"frame_{t:03}.tif", frame)
-    return folder
+    return write_frames(tissue_array, tmp_path / "tissue")
 
 
 @pytest.fixture(scope="session")

@@ -28,8 +28,8 @@ from .folder import write_file
 SUFFIX = ".decisions.json"
 MARK = '"microbundle_decisions"'
 """Text near the start of every such file, by which one that we wrote is known."""
-MEASURED_KINDS, SAID_KINDS = ("drop_beat", "mark_beat", "use_mask", "settings"), ("verdict",)
-"""Decisions that change what is measured, and those on numbers that are there."""
+SAID, REMEMBERED = "verdict", "note"
+"""Kinds of decisions on numbers that are there, and of those that change nothing; all others are measured with."""
 LARGEST_BYTES = 4_000_000
 """A larger file is no list of decisions."""
 
@@ -236,7 +236,8 @@ def decisions_hash(result: Path | str) -> str:
     except ConfigError as error:  # measuring again will say so
         return hashlib.sha256(str(error).encode()).hexdigest()
     listed = decided.as_list()
-    counted, said = ([one for one in listed if one["kind"] in kinds] for kinds in (MEASURED_KINDS, SAID_KINDS))
+    counted = [one for one in listed if one["kind"] not in (SAID, REMEMBERED)]
+    said = [one for one in listed if one["kind"] == SAID]
     if not counted and not said:
         return ""
     total = hashlib.sha256(json.dumps(counted, sort_keys=True).encode())

@@ -1,7 +1,7 @@
 """The font of figures: matplotlib's own DejaVu Sans, of which only what figures need is kept.
 
 A PDF holds the letters it shows, and cutting these out of the whole font takes a third of a second for each figure,
-most of it for rules of other scripts. Out of a font of Latin and Greek letters and signs it takes a tenth of that. It
+most of it for rules of other scripts. Out of a font of Latin and Greek letters and signs it takes a fifth of that. It
 is made once, beside matplotlib's own list of fonts. Text in any other script falls back to the whole font.
 """
 

@@ -230,9 +230,11 @@ def _index(out: Path, plan: Plan, statuses: Mapping[str, Status], plates: Sequen
 def _comparison(out: Path, files: list[Path], notes: list[str], *, wanted: bool, changed: bool) -> None:
     """Compare groups, pairs and doses, where the comparison would be another than the one that is there; an older one
     goes where nothing can be compared any more."""
+    folder, told = out / COMPARISON, ""
+    if not wanted and not folder.exists():
+        return
     from ..statistics.write import KIND, write_into
 
-    folder, told = out / COMPARISON, ""
     if wanted and (changed or not folder.exists()):
         try:
             write_into(out, folder, figures=True)

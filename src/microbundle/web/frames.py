@@ -90,7 +90,9 @@ class Kept(Generic[V]):
             one_at_a_time = self._making.setdefault(key, threading.Lock())
         with one_at_a_time:
             try:
-                found = self._values.get(key) or make()
+                found = self._values.get(key)
+                if found is None:
+                    found = make()
             except BaseException:
                 with self._lock:
                     self._making.pop(key, None)

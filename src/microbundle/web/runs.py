@@ -147,7 +147,7 @@ class Runs:
             known = [one for one in self._records.values() if self._home(one).out == out]
             if known:
                 return known[0]
-            recipe, under_way = read_recipe(out), _held(Home(self.folder, "", out))
+            recipe, under_way = read_recipe(out), _held(out)
             record = replace(
                 self._draft(out.name, Path(recipe.source)), out=str(out), settings=recipe.settings,
                 pattern=recipe.pattern, report=recipe.report, wells=recipe.wells,
@@ -259,7 +259,7 @@ class Runs:
     def _follow(self, record: Record) -> None:
         home, child = self._home(record), self._children.get(record.id)
         code = child.poll() if child is not None else None
-        if code is None and (child is not None or process.lives(home, record.pid) or _held(home)):
+        if code is None and (child is not None or process.lives(home, record.pid) or _held(home.out)):
             if record.id in self._asked:
                 self._asked[record.id] += 1
                 if self._asked[record.id] == PATIENCE and record.pid is not None:
@@ -346,10 +346,10 @@ class Runs:
         return command(self.home(id), self.get(id))
 
 
-def _held(home: Home) -> bool:
+def _held(out: Path) -> bool:
     """Tell whether a process holds the folder of a run."""
     try:
-        with (home.out / LOCK).open("r+" if os.name == "nt" else "r") as stream:
+        with (out / LOCK).open("r+" if os.name == "nt" else "r") as stream:
             return not hold(stream)
     except OSError:
         return False
